@@ -1,0 +1,40 @@
+# make          install into .venv          make demo      the whole job on the embedded world
+# make test     the tests (< 15 minutes)    make test-all  the slow ones too    make benchmark  tables of speed
+
+PYTHON ?= $(shell for p in python3.11 python3 python; do \
+	$$p -c 'import sys; raise SystemExit(sys.version_info[:2] != (3, 11))' 2>/dev/null && echo $$p && break; done)
+VENV := .venv
+BIN := $(VENV)/bin
+PIP_FLAGS ?=
+
+.PHONY: install install-test demo test test-all benchmark clean
+install: $(VENV)/.installed
+
+$(VENV)/.installed: pyproject.toml constraints.txt
+	@test -n "$(PYTHON)" || { echo "scene2skill needs Python 3.11 (PyBullet has no wheel above it): install it, or say make PYTHON=/path/to/python3.11"; exit 2; }
+	@$(PYTHON) -c 'import ensurepip' 2>/dev/null || sh .ci/system-packages python3.11-venv
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check $(PIP_FLAGS) -c constraints.txt -e .
+	@touch $@
+
+install-test: $(VENV)/.installed-test
+
+$(VENV)/.installed-test: $(VENV)/.installed
+	@test -x /usr/bin/chromium || sh .ci/system-packages chromium
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check $(PIP_FLAGS) -c constraints.txt -e '.[test]'
+	@touch $@
+
+demo: install
+	$(BIN)/scene2skill
+
+test: install-test
+	$(BIN)/python -m pytest
+
+test-all: install-test
+	$(BIN)/python -m pytest -m ''
+
+benchmark: install-test
+	for file in tests/benchmarks/*.py; do $(BIN)/python $$file; done
+
+clean:
+	rm -rf $(VENV) build dist .pytest_cache .hypothesis

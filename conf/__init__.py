@@ -1,0 +1,1 @@
+"""Every setting, and what ties the rooms together."""

@@ -1,0 +1,95 @@
+"""How far each stage is from the truth, where the truth is known. Nothing here reaches teach or robot.
+
+Errors of teaching are fractions of the picture's width in the held-out view (the paper's Table I).
+"""
+
+import time
+from pathlib import Path
+
+import numpy as np
+
+from scene.camera import Camera
+
+SAMPLES = 5
+TIMES = np.linspace(0, 1, 100)
+
+
+def camera_errors(views, truth: dict | None) -> dict:
+    """Median distance [mm] and angle [deg] between estimated and true cameras."""
+    if truth is None:
+        return {}
+    pairs = [(view.camera, Camera(**truth["cameras"][view.name])) for view in views]
+    centres = [np.linalg.norm(a.centre - b.centre) for a, b in pairs]
+    turns = [a.world_from_camera[:3, :3].T @ b.world_from_camera[:3, :3] for a, b in pairs]
+    angles = [np.degrees(np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1))) for turn in turns]
+    return {"camera_error_mm": 1000 * float(np.median(centres)), "camera_error_deg": float(np.median(angles))}
+
+
+def field_errors(field, held_out, folder: Path, world_spec: dict | None) -> dict:
+    """PSNR [dB] on held-out views, seconds for one view, and, in a simulated world, the median depth error [mm].
+
+    The rendered pictures are kept in ``folder`` for the report.
+    """
+    from scene.dataset import save_image
+    from scene.fit import psnr
+
+    started = time.perf_counter()
+    rendered = [field.render(view.camera) for view in held_out]
+    seconds = (time.perf_counter() - started) / max(len(held_out), 1)
+    for view, (image, _) in zip(held_out, rendered, strict=True):
+        save_image(folder / f"{view.name}.png", image)
+    errors = {
+        "psnr": float(np.mean([psnr(image, view.image) for view, (image, _) in zip(held_out, rendered, strict=True)])),
+        "render_seconds": seconds,
+    }
+    if world_spec is not None:
+        errors["depth_error_mm"] = _depth_error(held_out, [depth for _, depth in rendered], world_spec)
+    return errors
+
+
+def _depth_error(views, depths, world_spec: dict) -> float:
+    """Median over pixels whose true point lies in the world's workspace; a pixel without depth counts as infinitely wrong."""
+    from robot.world import World
+
+    lower, upper = (np.array(world_spec["workspace"][side]) for side in ("lower", "upper"))
+    errors = []
+    with World.from_spec(world_spec) as world:
+        for view, depth in zip(views, depths, strict=True):
+            _, true = world.photograph_with_depth(view.camera)
+            origins, directions = view.camera.rays(view.camera.pixel_centres())
+            points = origins + directions * (true / (directions @ view.camera.forward))[..., None]
+            inside = ((points > lower) & (points < upper)).all(-1)
+            errors.append(np.nan_to_num(np.abs(depth - true)[inside], nan=np.inf))
+    return 1000 * float(np.median(np.concatenate(errors)))
+
+
+def taught_errors(skill, run: Path, *, seed: int) -> dict:
+    """MFD and WD of the learned motion in the held-out view; beside them the oracle's and the two baselines'.
+
+    The oracle knows the intended 3D paths behind the training strokes: their mean, and five of them as samples.
+    """
+    from teach import baselines, metrics
+    from teach import sketch as sketch_files
+
+    held_out = sketch_files.load(run / "held_out.json")
+    if not held_out:
+        return {}
+    (held_out,) = held_out
+    strokes, camera = [stroke.points for stroke in held_out.strokes], held_out.camera
+    with np.load(run / "intended.npz") as file:
+        intended = file["training"].reshape(-1, *file["training"].shape[-2:])
+    rng = np.random.default_rng([seed, 1])
+    line = baselines.linear(strokes)
+    nearest = baselines.nearest_neighbour(sketch_files.load(run / "sketches.json"), camera)
+
+    def scores(mean, samples, prefix=""):
+        mfd, std = metrics.mfd(mean, strokes, camera.width)
+        return {f"{prefix}mfd": mfd, f"{prefix}mfd_std": std, f"{prefix}wd": metrics.wd(samples, strokes, camera.width)}
+
+    taught = skill.distribution
+    return (
+        scores(camera.project(taught.mean_at(TIMES)), camera.project(taught.sample(SAMPLES, TIMES, rng)))
+        | scores(camera.project(intended.mean(0)), camera.project(rng.permutation(intended)[:SAMPLES]), "oracle_")
+        | scores(line, [line], "linear_")
+        | scores(nearest.mean(0), nearest, "nearest_neighbour_")
+    )

@@ -1,0 +1,334 @@
+"""The whole job: photographs -> cameras -> field -> views -> sketches -> skill -> plan -> motion -> report.
+
+Each function below is one stage: it reads the files of the stages before, calls one room of the house, writes its own
+files into ``out`` and returns what it measured.
+
+    scene2skill                            the whole job on the embedded world
+    scene2skill -m seed=0,1,2              a sweep; the scene is built once
+    python -m conf.pipeline stages=[fit]   one stage on the files of the one before (also: python -m teach.fit)
+"""
+
+import hashlib
+import json
+import logging
+import sys
+import time
+from functools import partial
+from pathlib import Path
+
+from hydra.utils import instantiate
+
+from conf import stages
+from conf.run import launch
+from conf.stages import Job, Record, Stage, write_json
+
+log = logging.getLogger("scene2skill")
+
+SKETCHED = ("view1", "view2")
+HELD_OUT = "view3"
+
+
+def capture(job: Job, out: Path) -> dict:
+    """A simulated world is photographed, as a person with a camera would."""
+    from robot.world import World
+    from scene.apriltag import TagLayout
+    from scene.dataset import save_image
+
+    hemisphere = _setting(job, "robot.photographs")
+    with World.from_spec(job.settings("world")) as world:
+        cameras = hemisphere(world.spec["view"], seed=job.cfg.scene.seed)
+        for i, camera in enumerate(_progress(cameras, "photographs")):
+            save_image(out / "photos" / f"{i:04d}.png", world.photograph(camera))
+        TagLayout(world.tag_size, world.base_from_tag).save(out / "tags.json")
+    truth = {f"{i:04d}": _plain_camera(camera) for i, camera in enumerate(cameras)}
+    write_json(out / "truth.json", {"world": job.settings("world"), "cameras": truth})
+    return {"photographs": len(cameras)}
+
+
+def reconstruct(job: Job, out: Path) -> dict:
+    """COLMAP finds the cameras; tags, where there are any, give the robot's frame in metres."""
+    from conf.evaluation import camera_errors
+    from scene.apriltag import TagLayout, align, gravity_frame
+    from scene.camera import View
+    from scene.dataset import load_photographs, save_views
+
+    model = _setting(job, "scene.colmap")(load_photographs(_photographs(job)), out, seed=job.cfg.scene.seed)
+    layout = _tags(job)
+    frame = align(model, TagLayout.load(layout)) if layout else gravity_frame(model.cameras, model.points)
+    views = [View(view.name, frame.move(view.camera), view.image) for view in model.views()]
+    points, seen = frame.apply(model.points), {"colours": model.colours, "frame": frame.describe(), "original": frame.matrix}
+    save_views(out, views, points=points, **seen)
+    metrics = {"registered": model.registered, "total": model.total, "reprojection_px": model.reprojection_px}
+    log.info("  %(registered)d of %(total)d photographs registered, reprojection error %(reprojection_px).2f px", metrics)
+    if model.unregistered:
+        log.warning("  left out: %s", ", ".join(model.unregistered))
+    if layout:
+        metrics["frame_residual_mm"] = frame.residual_mm
+        log.info("  robot's frame from tags %s, residual %.1f mm", ", ".join(map(str, frame.tags)), frame.residual_mm)
+    else:
+        log.info("  no tags.json with the photographs: the frame is arbitrary in scale and place; z is up as the cameras were held")
+    return metrics | camera_errors(views, _truth(job))
+
+
+def train(job: Job, out: Path) -> dict:
+    """The field learns the scene from all photographs but every eighth, which measure it."""
+    from conf.evaluation import field_errors
+    from scene.dataset import load_points, load_views
+
+    views = load_views(job.capture)
+    points, colours = load_points(job.capture)
+    training, held_out = split(views)
+    started = time.perf_counter()
+    field = _setting(job, "scene.fit")(
+        training, points=points, colours=colours, seed=job.cfg.scene.seed, checkpoint=out / "checkpoint.npz"
+    )
+    seconds = time.perf_counter() - started
+    field.save(out / "field.pt")
+    metrics = {"seconds": seconds} | field_errors(field, held_out, out / "held_out", job.settings("world") if _truth(job) else None)
+    log.info("  held-out views: %(psnr).1f dB; a view renders in %(render_seconds).2f s", metrics)
+    return metrics
+
+
+def split(views) -> tuple[list, list]:
+    """Training views and held-out views: every eighth by name (i % 8 == 4)."""
+    by_name = sorted(views, key=lambda view: view.name)
+    return [v for i, v in enumerate(by_name) if i % 8 != 4], [v for i, v in enumerate(by_name) if i % 8 == 4]
+
+
+def render(job: Job, out: Path) -> dict:
+    """Views to sketch on, and an orbit to look around."""
+    from scene.dataset import load_views, save_views
+    from scene.field import Field
+    from scene.views import render
+
+    field = Field.load(job.capture / "field.pt")
+    photographed = [view.camera for view in load_views(job.capture)]
+    chosen = _setting(job, "scene.views")(photographed, None if job.cfg.photos else job.settings("world.sketch_views"))
+    views = render(field, chosen.sketch, out / "views", partial(_progress, title="views"))
+    save_views(out / "views", views, images=".", frame=_frame(job))
+    frames = render(field, chosen.orbit, out / "views" / "orbit", partial(_progress, title="orbit"))
+    _save_orbit(frames, out / "views" / "orbit.mp4")
+    return {"views": len(views), "orbit": len(frames)}
+
+
+def sketch(job: Job, out: Path) -> dict:
+    """A person, or the scripted one, draws the motion on two views; on a third for evaluation only."""
+    import numpy as np
+
+    from teach import sketch as sketch_files
+
+    if job.cfg.user.kind == "files":
+        sketches = sketch_files.load(_stored_sketches(job))
+        held_out, intended = [], {}
+    else:
+        from conf.seen import draw
+
+        drawn, paths = draw(job, [*SKETCHED, HELD_OUT])
+        sketches, held_out, intended = drawn[:-1], drawn[-1:], {"training": paths[:-1], "held_out": paths[-1]}
+    sketch_files.check(sketches)
+    sketch_files.save(out / "sketches.json", sketches)
+    sketch_files.save(out / "held_out.json", held_out)
+    np.savez(out / "intended.npz", **intended)
+    strokes = sum(len(s.strokes) for s in sketches)
+    log.info("  %d strokes on %s", strokes, ", ".join(s.view for s in sketches))
+    return {"strokes": strokes, "views": len(sketches)}
+
+
+def fit(job: Job, out: Path) -> dict:
+    """RPTL: strokes become a distribution of 3D trajectories."""
+    from conf.evaluation import taught_errors
+    from teach import sketch as sketch_files
+
+    sketches = sketch_files.load(job.run / "sketches.json")
+    parts = {part: _setting(job, f"teach.{part}") for part in ("density", "raytrace", "basis")}
+    skill = _setting(job, "teach.rptl")(sketches, seed=job.cfg.seed, **parts)
+    skill.save(out / "skill.npz")
+    metrics = {"seconds": skill.report["seconds"], "reprojection_px": skill.report["reprojection_px"]}
+    metrics |= taught_errors(skill, job.run, seed=job.cfg.seed)
+    if "mfd" in metrics:
+        log.info("  in the held-out view: mean Frechet %(mfd).4f (oracle %(oracle_mfd).4f), Wasserstein %(wd).4f (oracle %(oracle_wd).4f)"
+                 " of the picture's width", metrics)  # fmt: skip
+    for warning in skill.report.get("warnings", ()):
+        log.warning("  note: %s", warning)
+    return metrics
+
+
+def plan(job: Job, out: Path) -> dict:
+    """Samples are checked for reach and collision; the best feasible one is timed."""
+    import numpy as np
+
+    from robot.world import World
+    from teach.trajectory import Skill
+
+    skill = Skill.load(job.run / "skill.npz")
+    arm = _setting(job, "robot.arm")
+    with World.from_spec(job.settings("world")) as world:
+        chosen = _setting(job, "robot.planner")(skill, arm, world, start=arm.home, seed=job.cfg.seed)
+    chosen.save(out / "plan.npz")
+    write_json(out / "joint_trajectory.json", chosen.joint_trajectory())
+    table = np.column_stack([chosen.times, chosen.joints, chosen.tip])
+    np.savetxt(out / "trajectory.csv", table, "%.6f", ",", header=",".join(["time_s", *chosen.names, "x_m", "y_m", "z_m"]), comments="")
+    log.info("  %s", chosen.sentence)
+    return {
+        "feasible": chosen.feasible,
+        "samples": chosen.samples,
+        "refused": len(chosen.refusals),
+        "position_error_mm": 1000 * float(chosen.position_error.max()),
+        "clearance_mm": 1000 * float(min(chosen.clearance.min(), chosen.self_clearance.min())),
+        "duration_s": float(chosen.times[-1]),
+    }
+
+
+def execute(job: Job, out: Path) -> dict:
+    """PyBullet performs the plan under motor control; the world's own conditions judge it."""
+    from robot.execution import save_video
+    from robot.planner import Plan
+    from robot.world import World
+
+    chosen = Plan.load(job.run / "plan.npz")
+    if not chosen.feasible:
+        raise ValueError(f"the plan is not feasible, so it is not performed: {chosen.sentence}")
+    spec = job.settings("world")
+    with World.from_spec(spec) as world:
+        performed = _setting(job, "robot.execution")(chosen, _setting(job, "robot.arm"), world)
+    performed.save(out / "execution.npz")
+    save_video(out / "execution.mp4", performed.frames, performed.fps)
+    log.info("  %s", performed.sentence)
+    return performed.metrics
+
+
+SCENE = ("scene.seed",)
+STAGES = (
+    Stage("capture", capture, ("photos", "tags.json", "truth.json"), settings=("world", "robot.photographs", *SCENE), shared=True),
+    Stage("reconstruct", reconstruct, ("images", "colmap", "sparse.ply", "transforms.json"),
+          settings=("scene.colmap", "scene.apriltag", *SCENE), inputs=lambda job: _fingerprint(job), shared=True),
+    Stage("train", train, ("field.pt", "held_out"), ("reconstruct",), ("scene.fit", *SCENE), shared=True, resumable=True),
+    Stage("render", render, ("views",), ("train",), ("scene.views", "world.sketch_views"), shared=True, resumable=True),
+    Stage("sketch", sketch, ("sketches.json", "held_out.json", "intended.npz"), ("render",), ("user", "world", "seed")),
+    Stage("fit", fit, ("skill.npz",), ("sketch",), ("teach", "seed")),
+    Stage("plan", plan, ("plan.npz", "trajectory.csv", "joint_trajectory.json"), ("fit",),
+          ("robot.arm", "robot.planner", "world", "seed")),
+    Stage("execute", execute, ("execution.npz", "execution.mp4"), ("plan",), ("robot.arm", "robot.execution", "world")),
+)  # fmt: skip
+NAMES = tuple(stage.name for stage in STAGES)
+
+
+
+
+def whole_job(job: Job) -> None:
+    """Do the wanted stages in order; metrics.json is written after each of them, the report at the end."""
+    wanted, records = _wanted(job), {}
+    for stage in STAGES:
+        if stage.name not in wanted:
+            _take_over(stage, job, records)
+        elif stage.name == "execute" and "plan" in records and not records["plan"].metrics["feasible"] and len(wanted) > 1:
+            log.warning("execute\n  left out: there is no feasible plan")
+        else:
+            _do(stage, job, records)
+    if "report" in wanted:
+        from conf.report import write_report
+
+        log.info("report\n  %s", write_report(job))
+
+
+def _do(stage: Stage, job: Job, records: dict[str, Record]) -> None:
+    missing = [need for need in stage.needs if need not in records]
+    if missing:
+        raise FileNotFoundError(f"{stage.name} needs the files of {missing[0]}: say stages=[{missing[0]},{stage.name}]")
+    log.info("%s", stage.name)
+    records[stage.name] = record = stages.run(stage, job, records)
+    log.info("  done in %.1f s%s", record.seconds, " (earlier; nothing it rests on has changed)" if record.reused else "")
+    write_json(job.run / "metrics.json", _metrics(records))
+
+
+def _take_over(stage: Stage, job: Job, records: dict[str, Record]) -> None:
+    """A stage that is not to be done: its files are those of the newest run that has them."""
+    found = stages.find(stage, stage.folder(job))
+    if found is None and not stage.shared:
+        found = stages.adopt(stage, job, lambda state, record: True)
+    if found is not None:
+        records[stage.name] = found
+
+
+def _wanted(job: Job) -> list[str]:
+    known = (*NAMES, "report")
+    if job.cfg.stages is None:
+        return ["reconstruct", "train", "render"] if job.cfg.photos else list(known)
+    unknown = [name for name in job.cfg.stages if name not in known]
+    if unknown or not job.cfg.stages:
+        raise ValueError(f"unknown stage {', '.join(unknown) or '(none given)'}; there are {', '.join(known)}")
+    if job.cfg.photos and "capture" in job.cfg.stages:
+        raise ValueError("photos= gives the photographs, so there is nothing to capture: leave capture out of stages=")
+    return list(job.cfg.stages)
+
+
+def _metrics(records: dict[str, Record]) -> dict:
+    """metrics.json: one group for each stage; total_seconds is what all of them cost, when they were done."""
+    groups = {"train": "field", "fit": "teach"}
+    metrics = {groups.get(name, name): {"seconds": r.seconds} | r.metrics for name, r in records.items()}
+    return metrics | {"total_seconds": sum(record.seconds for record in records.values())}
+
+
+def _setting(job: Job, key: str):
+    """What a config group stands for: an object, or a function that waits for its arguments."""
+    from omegaconf import OmegaConf
+
+    return instantiate(OmegaConf.select(job.cfg, key), _convert_="all")
+
+
+def _photographs(job: Job) -> Path:
+    return Path(job.cfg.photos) if job.cfg.photos else job.capture / "photos"
+
+
+def _tags(job: Job) -> Path | None:
+    """The layout of the tags: scene.apriltag.layout, or tags.json with the photographs or where the world's capture left it."""
+    if job.cfg.scene.apriltag.layout:
+        return Path(job.cfg.scene.apriltag.layout)
+    beside = (Path(job.cfg.photos) if job.cfg.photos else job.capture) / "tags.json"
+    return beside if beside.exists() else None
+
+
+def _truth(job: Job) -> dict | None:
+    """What only the scripted user and evaluation may know: there is none of real photographs."""
+    path = job.capture / "truth.json"
+    return None if job.cfg.photos or not path.exists() else json.loads(path.read_text())
+
+
+def _frame(job: Job) -> dict:
+    from scene.dataset import load_frame
+
+    return load_frame(job.capture)
+
+
+def _fingerprint(job: Job) -> dict[str, str]:
+    """Names and contents of what is reconstructed, so that other photographs are another scene."""
+    folder = _photographs(job)
+    files = sorted(p for p in folder.glob("*") if p.is_file()) if folder.is_dir() else []
+    files += [_tags(job)] if _tags(job) else []
+    return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
+
+
+def _stored_sketches(job: Job) -> Path:
+    """user.file: a name in the capture's sketches folder, or a path."""
+    named = job.capture / "sketches" / f"{job.cfg.user.file}.json"
+    return named if named.exists() else Path(job.cfg.user.file)
+
+
+def _plain_camera(camera) -> dict:
+    return {"K": camera.K.tolist(), "world_from_camera": camera.world_from_camera.tolist(),
+            "width": camera.width, "height": camera.height}  # fmt: skip
+
+
+def _progress(items, title: str):
+    from tqdm import tqdm
+
+    return tqdm(items, desc=f"  {title}", leave=False, disable=not sys.stderr.isatty())
+
+
+def main(*overrides: str) -> None:
+    """The console script scene2skill."""
+    sys.exit(launch(whole_job, *overrides))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,124 @@
+"""Hydra's main, and what every job gets: provenance, a status, one clear error instead of a traceback."""
+
+import json
+import logging
+import os
+import platform
+import subprocess
+import sys
+import time
+import traceback
+from importlib.metadata import version
+from pathlib import Path
+
+import hydra
+from hydra.core.hydra_config import HydraConfig
+from hydra.errors import HydraException
+from hydra.types import RunMode
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from conf.stages import Job, write_json
+
+log = logging.getLogger("scene2skill")
+
+USER_ERRORS = (ValueError, OSError, HydraException, OmegaConfBaseException)
+VERSIONS = ("scene2skill", "torch", "numpy", "pycolmap", "pybullet", "numba", "zuko", "toppra", "hydra-core")
+
+
+def launch(task, *overrides: str) -> int:
+    """Compose the config from the command line, run ``task(job)`` for each job, return the exit code.
+
+    0 done; 2 the input was at fault (one line says how); 130 interrupted; anything else is a defect and keeps
+    its traceback.
+    """
+    os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra then raises instead of printing its own traceback
+
+    @hydra.main(version_base="1.3", config_path="pkg://conf", config_name="config")
+    def hydra_main(cfg: DictConfig) -> float | None:
+        return _run_job(task, cfg)
+
+    sys.argv[1:1] = overrides
+    try:
+        hydra_main()
+    except KeyboardInterrupt:
+        print("\nInterrupted. Finished stages are kept: the same command goes on from there.", file=sys.stderr)
+        return 130
+    except USER_ERRORS as error:
+        print(f"error: {_one_line(error)}", file=sys.stderr)
+        return 2
+    return 0
+
+
+def _run_job(task, cfg: DictConfig):
+    run_folder = Path(HydraConfig.get().runtime.output_dir)
+    job = Job(cfg, capture_folder(cfg), run_folder)
+    status = {"state": "running", "capture": str(job.capture), "started": time.strftime("%Y-%m-%dT%H:%M:%S")}
+    write_json(run_folder / "status.json", status)
+    write_json(run_folder / "provenance.json", provenance())
+    started = time.perf_counter()
+    try:
+        task(job)
+        status["state"] = "finished"
+    except KeyboardInterrupt:
+        status["state"] = "interrupted"
+        raise
+    except Exception as error:
+        status |= {"state": "failed", "error": _one_line(error), "traceback": traceback.format_exc()}
+        if isinstance(error, USER_ERRORS) and HydraConfig.get().mode == RunMode.RUN:
+            raise SystemExit(_report(error)) from None
+        raise
+    finally:
+        status["seconds"] = round(time.perf_counter() - started, 3)
+        write_json(run_folder / "status.json", status)
+
+
+def _report(error: Exception) -> int:
+    print(f"error: {_one_line(error)}", file=sys.stderr)
+    return 2
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split()) or type(error).__name__
+
+
+def capture_folder(cfg: DictConfig) -> Path:
+    """Where the scene of this job lies: ``data=`` if it is given, else data/<photographs or world>.
+
+    Scene settings other than the shipped ones get a folder of their own (a hash behind the name), so that jobs of
+    a sweep over them do not overwrite each other.
+    """
+    if cfg.data:
+        return Path(cfg.data).resolve()
+    name = Path(cfg.photos).resolve().name if cfg.photos else cfg.world.name
+    shipped = hydra.compose("config", overrides=[f"world={HydraConfig.get().runtime.choices.world}"])
+    key = _scene_key(cfg)
+    return Path("data", name if key == _scene_key(shipped) else f"{name}-{key:08x}").resolve()
+
+
+def _scene_key(cfg: DictConfig) -> int:
+    import zlib
+
+    parts = {"world": cfg.world, "photographs": cfg.robot.photographs, "scene": cfg.scene}
+    plain = {name: OmegaConf.to_container(node, resolve=True) for name, node in parts.items()}
+    return zlib.crc32(json.dumps(plain, sort_keys=True).encode())
+
+
+def provenance() -> dict:
+    """What is needed to say later where a result came from."""
+    return {
+        "argv": sys.argv,
+        "git": _git("rev-parse", "HEAD"),
+        "dirty": bool(_git("status", "--porcelain")),
+        "versions": {name: version(name) for name in VERSIONS},
+        "python": platform.python_version(),
+        "host": platform.node(),
+        "cpus": os.cpu_count(),
+    }
+
+
+def _git(*arguments: str) -> str | None:
+    root = Path(__file__).parents[1]
+    if not (root / ".git").exists():
+        return None
+    return subprocess.run(["git", "-C", root, *arguments], capture_output=True, text=True).stdout.strip()

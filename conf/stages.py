@@ -1,0 +1,161 @@
+"""A stage is done once: what went in is hashed, what came out is kept, and stages meet only in files.
+
+Every stage writes into a folder of its own under ``.stages/`` and is moved into place when it is whole, so a
+killed job leaves no half file and the next run goes on from the last finished stage. Stages of the scene lie in
+the capture folder, which jobs share under a lock; the others lie in the run's folder.
+"""
+
+import hashlib
+import json
+import os
+import shutil
+import time
+from collections.abc import Callable
+from contextlib import nullcontext
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+
+from filelock import FileLock
+from omegaconf import DictConfig, OmegaConf
+
+
+@dataclass(frozen=True)
+class Job:
+    """One job of Hydra: its settings, the capture folder it shares, the run folder it owns."""
+
+    cfg: DictConfig
+    capture: Path
+    run: Path
+
+    def settings(self, key: str):
+        """The plain value of a setting; None where it is not set."""
+        node = OmegaConf.select(self.cfg, key)
+        return OmegaConf.to_container(node, resolve=True) if OmegaConf.is_config(node) else node
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One step of the whole job.
+
+    build(job, folder) writes ``outputs`` into folder and returns its measurements. ``needs`` names the stages whose
+    files it reads, ``settings`` the config keys that it depends on, ``inputs(job)`` what else went in (hashable as
+    JSON). ``shared`` stages lie in the capture folder. ``resumable`` ones find their unfinished folder again.
+    """
+
+    name: str
+    build: Callable[[Job, Path], dict]
+    outputs: tuple[str, ...]
+    needs: tuple[str, ...] = ()
+    settings: tuple[str, ...] = ()
+    inputs: Callable[[Job], object] = lambda job: None
+    shared: bool = False
+    resumable: bool = False
+
+    def folder(self, job: Job) -> Path:
+        return job.capture if self.shared else job.run
+
+
+@dataclass(frozen=True)
+class Record:
+    """What is kept of a finished stage."""
+
+    hash: str
+    metrics: dict
+    seconds: float
+    reused: bool = True
+
+
+def run(stage: Stage, job: Job, needed: dict[str, Record]) -> Record:
+    """Do the stage, unless it was done with the same settings on the same inputs."""
+    folder, key = stage.folder(job), stage_hash(stage, job, needed)
+    keep = folder / ".stages"
+    keep.mkdir(parents=True, exist_ok=True)
+    with FileLock(keep / f"{stage.name}.lock") if stage.shared else nullcontext():
+        record = find(stage, folder)
+        if record is None and not stage.shared:
+            record = adopt(stage, job, lambda status, found: status != "finished" and found.hash == key)
+        if record is not None and record.hash == key:
+            return record
+        return _build(stage, job, key)
+
+
+def _build(stage: Stage, job: Job, key: str) -> Record:
+    keep = stage.folder(job) / ".stages"
+    partial = keep / f"{stage.name}-{key[:12]}"
+    for stale in keep.glob(f"{stage.name}-*"):
+        if not (stage.resumable and stale == partial):
+            shutil.rmtree(stale)
+    partial.mkdir(exist_ok=True)
+    started = time.perf_counter()
+    metrics = stage.build(job, partial)
+    seconds = time.perf_counter() - started
+    (keep / f"{stage.name}.json").unlink(missing_ok=True)
+    for output in stage.outputs:
+        _move(partial / output, stage.folder(job) / output)
+    shutil.rmtree(partial)
+    record = {"hash": key, "metrics": metrics, "seconds": seconds, "settings": {k: job.settings(k) for k in stage.settings}}
+    write_json(keep / f"{stage.name}.json", record)
+    return Record(key, metrics, seconds, reused=False)
+
+
+def find(stage: Stage, folder: Path) -> Record | None:
+    """The record of a finished stage whose outputs are all there."""
+    path = folder / ".stages" / f"{stage.name}.json"
+    if not path.exists() or not all((folder / output).exists() for output in stage.outputs):
+        return None
+    record = json.loads(path.read_text())
+    return Record(record["hash"], record["metrics"], record["seconds"])
+
+
+def adopt(stage: Stage, job: Job, wanted: Callable[[str, Record], bool]) -> Record | None:
+    """Take a stage of the run folder over from the newest earlier run on the same capture that ``wanted`` accepts.
+
+    ``wanted(state, record)`` is asked with the state of that run. Its files are copied: a run folder is whole.
+    """
+    experiment = job.run.parent.parent
+    earlier = sorted(experiment.glob("*/*/status.json"), key=lambda path: path.stat().st_mtime, reverse=True)
+    for path in earlier:
+        status = json.loads(path.read_text())
+        record = find(stage, path.parent)
+        if path.parent == job.run or record is None or status.get("capture") != str(job.capture):
+            continue
+        if wanted(status["state"], record):
+            for output in stage.outputs:
+                _copy(path.parent / output, job.run / output)
+            (job.run / ".stages").mkdir(parents=True, exist_ok=True)
+            _copy(path.parent / ".stages" / f"{stage.name}.json", job.run / ".stages" / f"{stage.name}.json")
+            return record
+    return None
+
+
+def stage_hash(stage: Stage, job: Job, needed: dict[str, Record]) -> str:
+    """What went in: the settings, the stages before, the inputs and the version of the code."""
+    went_in = {
+        "stage": stage.name,
+        "settings": {key: job.settings(key) for key in stage.settings},
+        "needs": {name: needed[name].hash for name in stage.needs if name in needed},
+        "inputs": stage.inputs(job),
+        "version": version("scene2skill"),
+    }
+    return hashlib.sha256(json.dumps(went_in, sort_keys=True).encode()).hexdigest()
+
+
+def write_json(path: Path, value) -> None:
+    """Write whole or not at all."""
+    temporary = path.with_name(f".{path.name}.{os.getpid()}")
+    temporary.write_text(json.dumps(value, indent=1, default=float) + "\n")
+    os.replace(temporary, path)
+
+
+def _move(source: Path, target: Path) -> None:
+    if target.is_dir():
+        shutil.rmtree(target)
+    os.replace(source, target)
+
+
+def _copy(source: Path, target: Path) -> None:
+    temporary = target.with_name(f".{target.name}.{os.getpid()}")
+    copy = shutil.copytree if source.is_dir() else shutil.copyfile
+    copy(source, temporary)
+    _move(temporary, target)

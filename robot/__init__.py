@@ -1,0 +1,1 @@
+"""A distribution of trajectories becomes a checked plan and a motion."""

@@ -1,0 +1,146 @@
+"""Attempts at candidate paths: each with the profile that suits it best, checked at waypoints and swept between
+them."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from robot.arm import Arm, NoSolution
+from robot.collision import ITSELF, WORLD, CollisionModel
+from robot.postures import Profile, end_profiles, path_to, taught_profile
+
+RESOLUTION = 1e-3  # m, to which clearances between waypoints are known
+CAP = 0.1  # m: clearances beyond this are not told apart here
+SHARED_PROFILES, OWN_POSTURES, SCREENING_STRIDE = 4, 4, 3
+
+
+@dataclass(frozen=True, eq=False)
+class Attempt:
+    """A candidate with a profile. index: 0 is the mean. points (N, 3) [m]. path (N, J), shorter where the arm could not
+    follow.
+
+    clearance: to the world [m]. refusal: why it is not feasible, empty where it is.
+    """
+
+    index: int
+    points: np.ndarray
+    path: np.ndarray
+    profile: Profile | None
+    clearance: float
+    refusal: str = ""
+
+    @property
+    def rank(self) -> tuple:
+        """Better is larger: feasible, then how much of the path could be followed, then clearance."""
+        return not self.refusal, len(self.path), self.clearance
+
+
+@dataclass(frozen=True, eq=False)
+class Search:
+    """For each candidate the best attempt. start (J,). margin: least clearance [m]. comfortable: a larger one is not
+    looked for [m]. postures: end postures tried on the mean."""
+
+    arm: Arm
+    model: CollisionModel
+    start: np.ndarray
+    margin: float
+    comfortable: float
+    postures: int
+
+    def all(self, candidates, orientation=None) -> list[Attempt]:
+        """Candidates (S, N, 3), the mean first; orientation: None or rows (t, quat_xyzw) that were taught."""
+        if orientation is not None:
+            taught = [taught_profile(self.arm, orientation, self.start, candidates.shape[1])]
+            return [self.best(k, points, taught, self.comfortable)[0] for k, points in enumerate(candidates)]
+        mean, profiles = self.best(0, candidates[0], self._profiles(candidates[0], self.postures), np.inf)
+        return [mean] + [
+            self._sample(k, points, profiles[:SHARED_PROFILES]) for k, points in enumerate(candidates[1:], start=1)
+        ]
+
+    def _sample(self, index, points, shared) -> Attempt:
+        """With the mean's best profiles; where none of them serves, with the sample's own."""
+        attempt, _ = self.best(index, points, shared, self.comfortable)
+        if not attempt.refusal:
+            return attempt
+        own, _ = self.best(index, points, self._profiles(points, OWN_POSTURES), self.comfortable)
+        return max(attempt, own, key=lambda a: a.rank)
+
+    def _profiles(self, points, count):
+        return end_profiles(self.arm, self.model, points, self.start, count, self.margin)
+
+    def best(self, index, points, profiles, enough) -> tuple[Attempt, list[Profile]]:
+        """The best attempt at a path, and the profiles, best first. All are screened at some waypoints, until one has a
+        clearance of ``enough`` [m]; then the best are checked in full."""
+        screened = []
+        for profile in profiles:
+            screened.append(self._screen(index, points, profile))
+            if not screened[-1].refusal and screened[-1].clearance >= enough:
+                break
+        if not screened:
+            return self._unreached(index, points), []
+        screened.sort(key=lambda a: a.rank, reverse=True)
+        checked = []
+        for attempt in screened[:SHARED_PROFILES]:
+            checked.append(self._check(attempt))
+            if not checked[-1].refusal:
+                break
+        best = max(checked, key=lambda a: a.rank)
+        return best, [a.profile for a in screened]
+
+    def _unreached(self, index, points) -> Attempt:
+        end = ", ".join(f"{x:.3f}" for x in points[-1])
+        refusal = f"{title(index)}: at t = 1.00 no posture of the arm reaches the end ({end}) m"
+        return Attempt(index, points, self.start[None], None, -np.inf, refusal)
+
+    def _screen(self, index, points, profile) -> Attempt:
+        try:
+            path = path_to(self.arm, points, self.start, profile)
+        except NoSolution as error:
+            t = error.waypoint / (len(points) - 1)
+            reached = np.vstack([self.start, error.path])[: max(error.waypoint, 1)]
+            return Attempt(index, points, reached, profile, -np.inf, f"{title(index)}: at t = {t:.2f} {error}")
+        return self._measured(Attempt(index, points, path, profile, -np.inf), SCREENING_STRIDE)
+
+    def _measured(self, attempt, stride) -> Attempt:
+        last = len(attempt.path) - 1
+        rows = np.union1d(np.arange(0, last, stride), last)
+        distance, pair = self.model.measure(attempt.path[rows], cap=CAP)
+        row, group = np.unravel_index(distance.argmin(), distance.shape)
+        refusal = ""
+        if distance[row, group] < self.margin:
+            names = self.model.pair_names(pair[row, group])
+            refusal = touch(attempt.index, rows[row] / last, distance[row, group], names, self.margin)
+        clearance = distance[:, WORLD].min() if distance[:, ITSELF].min() >= self.margin else distance.min()
+        return replace(attempt, clearance=clearance, refusal=refusal)
+
+    def _check(self, attempt) -> Attempt:
+        """The attempt measured at every waypoint and swept between them; one already refused is left as it is."""
+        if attempt.refusal:
+            return attempt
+        full = self._measured(attempt, 1)
+        if full.refusal:
+            return full
+        t = np.linspace(0, 1, len(full.path))
+        return replace(full, refusal=swept_refusal(self.model, full.path, t, full.index, self.margin))
+
+
+def swept_refusal(model, path, t, index, margin) -> str:
+    """Empty where the motion along ``path`` (T, J), at fractions t (T,), keeps the margin to within the resolution."""
+    sweep = model.sweep(path, required=margin, resolution=RESOLUTION, cap=CAP)
+    worst = int(sweep.clearance.argmin())
+    if sweep.clearance[worst] >= margin - RESOLUTION:
+        return ""
+    return touch(index, t[worst], sweep.clearance[worst], sweep.pairs[worst], margin)
+
+
+def title(index) -> str:
+    return "the mean" if index == 0 else f"sample {index}"
+
+
+def touch(index, t, clearance, pair, margin) -> str:
+    """Which bodies come too close, and where along the path."""
+    a, b = pair
+    far = (
+        f"runs {-1e3 * clearance:.0f} mm into {b}" if clearance < 0 else f"comes within {1e3 * clearance:.1f} mm of {b}"
+    )
+    return f"{title(index)}: at t = {t:.2f} {a} {far} (margin {1e3 * margin:.0f} mm)"

@@ -1,0 +1,313 @@
+"""Clearance of a posture and of a swept motion, to the world and to the arm itself.
+
+Notation
+    clearance   signed distance [m] between two convex pieces; negative: how deep they overlap; values above ``cap`` are
+                given as ``cap``
+    pair        (a, b): a piece of the arm and a piece of the world, or two pieces of the arm
+    lower       a bound from below on a pair's clearance, from balls that cover the arm (compiled, all postures at once)
+
+Exact distances come from FCL, asked only for pairs whose lower bound is below the smallest distance found so far.
+Along a joint-space segment from q0 to q1 no point of a link strays farther than
+
+    deviation = (sum |dq|)^2 R / 8        (R: a bound on the arm's length; the second derivative is at most 8 of this)
+
+from the straight line between its two places, which are at most ``motion`` apart. Hence everywhere on the segment
+
+    clearance >= (clearance(q0) + clearance(q1) - motion) / 2 - deviation
+
+and segments are halved until this bound suffices or is sharper than the resolution. Nothing can be skipped.
+"""
+
+from dataclasses import dataclass
+
+import fcl
+import numpy as np
+from numba import njit
+
+from robot.kinematics import PRISMATIC
+from robot.shapes import BOX, CAPSULE, CYLINDER, body_pieces, link_pieces
+
+WORLD, ITSELF = 0, 1
+ALWAYS_TOUCHING = 0.9  # share of random postures: such a pair is a matter of coarse geometry, not of the posture
+
+
+@dataclass(frozen=True, eq=False)
+class Sweep:
+    """clearance (T-1,) [m]: bounds from below over each segment of a path. pairs: the names nearest in each."""
+
+    clearance: np.ndarray
+    pairs: tuple[tuple[str, str], ...]
+
+
+class CollisionModel:
+    """The arm among the bodies of a world, where they stand when this is made.
+
+    arm: Arm. world: has ``client`` and ``bodies``, or None for the arm alone. ignored: further pairs of names that may
+    touch. cap: larger clearances are not told apart [m].
+
+    Links that cannot move are not compared with the world (the base may stand on a table or in it). Of the arm's own
+    pairs those are left out that are neighbours, touch at home, or touch in nearly all random postures.
+    """
+
+    def __init__(self, arm, world=None, ignored=(), cap=0.3):
+        self.arm, self.cap = arm, float(cap)
+        self.links, self.pieces = (tuple(column) for column in zip(*link_pieces(arm.description)))
+        self.surroundings = tuple(body_pieces(world.client, world.bodies)) if world is not None else ()
+        self._ignored = {frozenset(pair) for pair in ignored}
+        self._objects = [fcl.CollisionObject(piece.geometry) for piece in self.pieces]
+        self._objects += [fcl.CollisionObject(p.geometry, _fcl_pose(p.frame_from_piece)) for p in self.surroundings]
+        self._corners = np.stack([piece.corners() for piece in self.pieces])  # (P, 8, 3) in the links' frames
+        self._link_of_piece = np.array(self.links)
+        self._reach = _reach(arm, self._corners)
+        self._cover()
+        self._pairs = np.array(self._world_pairs(), dtype=np.int64).reshape(-1, 2)
+        self._own = 0
+        self._choose_own_pairs()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The links and bodies that pieces belong to."""
+        return tuple(piece.name for piece in self.pieces + self.surroundings)
+
+    @property
+    def own_pairs(self) -> list[tuple[str, str]]:
+        """The links that are compared with each other."""
+        return [(self.names[a], self.names[b]) for a, b in self._pairs[len(self._pairs) - self._own :]]
+
+    def clearance(self, q) -> np.ndarray:
+        """q (J,) or (N, J) -> clearance () or (N,) [m], to the world and itself."""
+        distance, _ = self.measure(q)
+        smallest = distance.min(axis=1)
+        return smallest[0] if np.ndim(q) == 1 else smallest
+
+    def nearest(self, q) -> tuple[float, tuple[str, str]]:
+        """q (J,) -> clearance [m] and the names that are nearest."""
+        distance, pair = self.measure(q)
+        which = int(distance[0].argmin())
+        return float(distance[0, which]), self.pair_names(pair[0, which])
+
+    def pair_names(self, pair) -> tuple[str, str]:
+        return tuple(self.names[i] for i in self._pairs[pair]) if pair >= 0 else ("nothing", "nothing")
+
+    def measure(self, q, cap=None) -> tuple[np.ndarray, np.ndarray]:
+        """q (N, J) -> clearance (N, 2) [m] to the world and to itself; nearest pairs (N, 2), -1 where beyond cap."""
+        poses = self.arm.link_poses(q)
+        cap = self.cap if cap is None else min(cap, self.cap)
+        lower = _lower_bounds(poses, self._balls, self._first, self._link_of_piece, self._pairs, *self._bounds)
+        distance, pair = np.full((len(poses), 2), cap), np.full((len(poses), 2), -1)
+        split = len(self._pairs) - self._own
+        for n in np.flatnonzero((lower < cap).any(axis=1)):
+            placed = set()
+            for group, (start, stop) in enumerate(((0, split), (split, len(self._pairs)))):
+                distance[n, group], pair[n, group] = self._exact(poses[n], lower[n, start:stop], start, cap, placed)
+        return distance, pair
+
+    def _exact(self, poses, lower, start, cap, placed):
+        """Smallest exact distance among the pairs from ``start``, and which. Overlapping pairs are all measured."""
+        best, nearest = cap, -1
+        for k in np.argsort(lower):
+            if lower[k] >= max(best, 0.0) or lower[k] >= cap:
+                break
+            a, b = self._pairs[start + k]
+            distance = self._distance(a, b, poses, placed)
+            if distance < best:
+                best, nearest = distance, start + k
+        return best, nearest
+
+    def _distance(self, a, b, poses, placed) -> float:
+        for piece in (a, b):
+            if piece < len(self.pieces) and piece not in placed:
+                pose = poses[self._link_of_piece[piece]] @ self.pieces[piece].frame_from_piece
+                self._objects[piece].setTransform(_fcl_pose(pose))
+                placed.add(piece)
+        request = fcl.DistanceRequest(enable_signed_distance=True)
+        return fcl.distance(self._objects[a], self._objects[b], request, fcl.DistanceResult())
+
+    def sweep(self, path, required=0.0, resolution=1e-3, cap=None) -> Sweep:
+        """Clearance of the straight joint-space motions between the postures of ``path`` (T, J), bounded from below.
+
+        Segments are halved until the bound is at least ``required`` [m] or within ``resolution`` [m] of the truth, or a
+        posture on the segment falls short of ``required`` itself.
+        """
+        path = np.asarray(path, dtype=float)
+        distance, pair = self.measure(path, cap)
+        bound, seen, who = np.full(len(path) - 1, np.inf), np.full(len(path) - 1, np.inf), np.full(len(path) - 1, -1)
+        owner = np.arange(len(path) - 1)
+        for rows in (slice(None, -1), slice(1, None)):
+            _keep_nearest(seen, who, owner, distance[rows], pair[rows])
+        segments = (path[:-1], path[1:], distance[:-1], distance[1:], owner)
+        while len(segments[0]):
+            leaf, spread = self._segment_bound(*segments[:4])
+            short = np.minimum(segments[2], segments[3]).min(axis=1) < required
+            done = (leaf >= required) | short | (spread <= resolution)
+            np.minimum.at(bound, segments[4][done], leaf[done])
+            q0, q1, d0, d1, owner = (values[~done] for values in segments)
+            middle = (q0 + q1) / 2
+            distance, pair = self.measure(middle, cap)
+            _keep_nearest(seen, who, owner, distance, pair)
+            segments = tuple(
+                np.concatenate(both)
+                for both in ((q0, middle), (middle, q1), (d0, distance), (distance, d1), (owner, owner))
+            )
+        return Sweep(bound, tuple(self.pair_names(pair) for pair in who))
+
+    def _segment_bound(self, q0, q1, d0, d1) -> tuple[np.ndarray, np.ndarray]:
+        """Postures (S, J) and clearances (S, 2) at both ends -> bound from below (S,) [m] on the way, and how blunt it
+        is (S,) [m]."""
+        motion, deviation = self._motion(q0, q1)
+        moving = np.array([1.0, 2.0])  # of two links of the arm both move
+        between = (d0 + d1 - moving * motion[:, None]) / 2 - moving * deviation[:, None]
+        return between.min(axis=1), motion + 2 * deviation
+
+    def _motion(self, q0, q1) -> tuple[np.ndarray, np.ndarray]:
+        """(S, J) twice -> how far any point of the arm is displaced (S,) [m], and how far it may stray from the line
+        between (S,) [m]."""
+        before, after = (self.arm.link_poses(q)[:, self._link_of_piece] for q in (q0, q1))
+        shift = np.einsum("spij,pcj->spci", after[..., :3, :3] - before[..., :3, :3], self._corners)
+        shift += (after[..., :3, 3] - before[..., :3, 3])[:, :, None]
+        turn = np.abs(q1 - q0)
+        bent = turn[:, self._turning].sum(axis=1)
+        slid = turn[:, ~self._turning].sum(axis=1)
+        return np.linalg.norm(shift, axis=-1).max(axis=(1, 2)), (bent**2 * self._reach + 2 * bent * slid) / 8
+
+    # What is compared
+
+    def _cover(self):
+        covers = [piece.cover() for piece in self.pieces]
+        self._balls = np.vstack(covers)
+        self._first = np.cumsum([0, *map(len, covers)])
+        bodies = self.surroundings
+        self._bounds = (
+            np.array([p.bound for p in bodies], dtype=np.int64),
+            np.array([np.append(p.size, np.zeros(3 - len(p.size))) for p in bodies]).reshape(-1, 3),
+            np.array([np.linalg.inv(p.frame_from_piece) for p in bodies]).reshape(-1, 4, 4),
+        )
+        columns = self.arm.tree.column
+        slides = {c for c, kind in zip(columns, self.arm.tree.kind) if kind == PRISMATIC and c >= 0}
+        self._turning = np.array([j not in slides for j in range(len(self.arm.joint_names))])
+
+    def _world_pairs(self):
+        rigid = _rigid_groups(self.arm.tree)
+        moving = [a for a, link in enumerate(self.links) if rigid[link] != rigid[0]]
+        names = self.names
+        return [
+            (a, b)
+            for a in moving
+            for b in range(len(self.pieces), len(names))
+            if frozenset((names[a], names[b])) not in self._ignored
+        ]
+
+    def _choose_own_pairs(self):
+        """Start from every pair of links that are not neighbours; drop those that touch at home or nearly always."""
+        rigid = _rigid_groups(self.arm.tree)
+        parents = {
+            rigid[link]: rigid[self.arm.tree.parent[link]] for link in range(len(rigid)) if rigid[link] == link and link
+        }
+        count = len(self.pieces)
+        groups = [rigid[link] for link in self.links]
+        candidates = [
+            (a, b)
+            for a in range(count)
+            for b in range(a + 1, count)
+            if groups[a] != groups[b]
+            and parents.get(groups[a]) != groups[b]
+            and parents.get(groups[b]) != groups[a]
+            and frozenset((self.names[a], self.names[b])) not in self._ignored
+        ]
+        postures = np.vstack([self.arm.home, self.arm.random(100, 0)])
+        touching = np.zeros((len(postures), len(candidates)), dtype=bool)
+        for n, poses in enumerate(self.arm.link_poses(postures)):
+            placed = set()
+            touching[n] = [self._distance(a, b, poses, placed) <= 0 for a, b in candidates]
+        kept = ~touching[0] & (touching.mean(axis=0) < ALWAYS_TOUCHING)
+        own = np.array([pair for pair, keep in zip(candidates, kept) if keep], dtype=np.int64).reshape(-1, 2)
+        self._own = len(own)
+        self._pairs = np.vstack([self._pairs, own])
+
+
+def _keep_nearest(seen, who, owner, distance, pair):
+    """Where distances (M, 2) of segments ``owner`` (M,) are smaller than those ``seen``, keep them and their pairs."""
+    group = distance.argmin(axis=1)
+    distance, pair = distance[np.arange(len(group)), group], pair[np.arange(len(group)), group]
+    order = np.argsort(-distance, kind="stable")  # the last assignment wins
+    order = order[distance[order] < seen[owner[order]]]
+    seen[owner[order]], who[owner[order]] = distance[order], pair[order]
+
+
+def _rigid_groups(tree) -> np.ndarray:
+    """(L,) for each link the first link it cannot move against."""
+    groups = np.arange(len(tree.parent))
+    for link, parent in enumerate(tree.parent):
+        if parent >= 0 and tree.column[link] < 0:
+            groups[link] = groups[parent]
+    return groups
+
+
+def _reach(arm, corners) -> float:
+    """A bound [m] on the distance of any point from any joint: all offsets, all slides and the largest piece."""
+    tree = arm.tree
+    slides = [
+        max(abs(arm.lower[c]), abs(arm.upper[c]))
+        for c, kind in zip(tree.column, tree.kind)
+        if kind == PRISMATIC and c >= 0
+    ]
+    offsets = np.linalg.norm(tree.origin[:, :3, 3], axis=1).sum() + np.abs(tree.held).sum()
+    return float(offsets + sum(slides) + np.linalg.norm(corners, axis=-1).max())
+
+
+def _fcl_pose(pose) -> fcl.Transform:
+    return fcl.Transform(pose[:3, :3], pose[:3, 3])
+
+
+@njit(cache=True)
+def _outside(kind, size, x, y, z):
+    """Signed distance [m] of a point to a primitive at the origin: exact outside, no larger than the truth inside."""
+    if kind == BOX:
+        a, b, c = abs(x) - size[0], abs(y) - size[1], abs(z) - size[2]
+    elif kind == CYLINDER:
+        a, b, c = np.sqrt(x * x + y * y) - size[0], -np.inf, abs(z) - size[1]
+    elif kind == CAPSULE:
+        along = max(abs(z) - size[1], 0.0)
+        return np.sqrt(x * x + y * y + along * along) - size[0]
+    else:
+        return np.sqrt(x * x + y * y + z * z) - size[0]
+    out = np.sqrt(max(a, 0.0) ** 2 + max(b, 0.0) ** 2 + max(c, 0.0) ** 2)
+    return out + min(max(a, b, c), 0.0)
+
+
+@njit(cache=True)
+def _place(poses, balls, first, links, out):
+    for piece in range(len(links)):
+        T = poses[links[piece]]
+        for b in range(first[piece], first[piece + 1]):
+            for i in range(3):
+                out[b, i] = T[i, 0] * balls[b, 0] + T[i, 1] * balls[b, 1] + T[i, 2] * balls[b, 2] + T[i, 3]
+
+
+@njit(cache=True)
+def _lower_bounds(poses, balls, first, links, pairs, kinds, sizes, piece_from_world):
+    """Link poses (N, L, 4, 4) -> bounds from below (N, pairs) [m] by the balls (B, 4) that cover the arm."""
+    out = np.full((len(poses), len(pairs)), np.inf)
+    centres = np.empty((len(balls), 3))
+    count = len(links)
+    for n in range(len(poses)):
+        _place(poses[n], balls, first, links, centres)
+        for p in range(len(pairs)):
+            a, b = pairs[p]
+            for i in range(first[a], first[a + 1]):
+                x, y, z = centres[i]
+                if b >= count:
+                    M = piece_from_world[b - count]
+                    d = _outside(
+                        kinds[b - count],
+                        sizes[b - count],
+                        M[0, 0] * x + M[0, 1] * y + M[0, 2] * z + M[0, 3],
+                        M[1, 0] * x + M[1, 1] * y + M[1, 2] * z + M[1, 3],
+                        M[2, 0] * x + M[2, 1] * y + M[2, 2] * z + M[2, 3],
+                    )
+                    out[n, p] = min(out[n, p], d - balls[i, 3])
+                else:
+                    for j in range(first[b], first[b + 1]):
+                        r = np.sqrt((x - centres[j, 0]) ** 2 + (y - centres[j, 1]) ** 2 + (z - centres[j, 2]) ** 2)
+                        out[n, p] = min(out[n, p], r - balls[i, 3] - balls[j, 3])
+    return out

@@ -1,0 +1,1 @@
+"""Photographs become posed views, a radiance field, and new views of the scene."""

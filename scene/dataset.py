@@ -1,0 +1,281 @@
+"""Photographs and capture folders: what scene reads and writes on disk.
+
+A capture folder holds one scene in nerfstudio's convention, so that nerfstudio opens it unchanged:
+
+    <folder>/transforms.json      w, h, fl_x, fl_y, cx, cy [px]; frames of file_path and transform_matrix
+             images/*.png         undistorted pinhole pictures
+             sparse.ply           points with colours (``ply_file_path``)
+
+``transform_matrix`` is world_from_camera with OpenGL axes (x right, y up, z back); here cameras have OpenCV's.
+Pixels: nerfstudio and instant-ngp send the ray of pixel column i through (i + 0.5 - cx) / fl_x and take cx, cy from
+COLMAP as they are, so cx, cy mean the same here, there and in COLMAP, and nothing is added or taken away.
+
+What nerfstudio has no word for stands under the key "scene2skill", which it ignores: the frame (its name, "robot base"
+or "arbitrary", its unit, how well it is known) and the similarity ``world_from_original`` from the reconstruction's own frame.
+"""
+
+import json
+import os
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+from PIL import ExifTags, Image, ImageOps
+
+from scene.camera import OPENCV_FROM_OPENGL, Camera, View
+
+EXTENSIONS = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp")
+INTRINSICS = ("w", "h", "fl_x", "fl_y", "cx", "cy")
+DISTORTION = ("k1", "k2", "k3", "k4", "p1", "p2")
+FEWEST_PHOTOGRAPHS = 3
+
+
+def load_photographs(folder: str | Path) -> list[Path]:
+    """The pictures of a folder, sorted by name, each of them decoded once to its last byte.
+
+    Raises FileNotFoundError (no such folder, no pictures) or ValueError (too few, unreadable, truncated, two of one name,
+    different sizes after EXIF rotation).
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise FileNotFoundError(f"no such folder of photographs: {folder}")
+    files = sorted(p for p in folder.iterdir() if p.is_file() and not p.name.startswith("."))
+    paths = [p for p in files if p.suffix.lower() in EXTENSIONS]
+    if not paths:
+        there = ", ".join(f"{n} {s or 'without extension'}" for s, n in Counter(p.suffix for p in files).items())
+        raise FileNotFoundError(f"no pictures in {folder}: looked for {' '.join(EXTENSIONS)}; there: {there or 'no files'}")
+    if len(paths) < FEWEST_PHOTOGRAPHS:
+        names = ", ".join(p.name for p in paths)
+        raise ValueError(f"{len(paths)} pictures in {folder} ({names}); a scene needs at least {FEWEST_PHOTOGRAPHS}, better 30")
+    _refuse_equal_names(paths)
+    _refuse_different_sizes({p: _checked_size(p) for p in paths})
+    return paths
+
+
+def _refuse_equal_names(paths: Sequence[Path]):
+    stems = Counter(p.stem for p in paths)
+    twice = [p.name for p in paths if stems[p.stem] > 1]
+    if twice:
+        raise ValueError(f"pictures that differ in their extension only: {', '.join(twice[:6])}; keep one of each")
+
+
+def _checked_size(path: Path) -> tuple[int, int]:
+    """(width, height) [px] after EXIF rotation; decodes everything, as a truncated file shows only at its end."""
+    image = load_image(path)
+    return image.shape[1], image.shape[0]
+
+
+def _refuse_different_sizes(sizes: dict[Path, tuple[int, int]]):
+    counts = Counter(sizes.values()).most_common()
+    if len(counts) == 1:
+        return
+    groups = []
+    for size, count in counts:
+        names = [p.name for p in sizes if sizes[p] == size]
+        groups.append(f"{count} of {size[0]}x{size[1]} ({', '.join(names[:3])}{', ...' if count > 3 else ''})")
+    raise ValueError(f"pictures of different sizes: {'; '.join(groups)}; use one camera in one orientation, or one folder for each")
+
+
+def load_image(path: str | Path) -> np.ndarray:
+    """A picture (H, W, 3) uint8 RGB, turned upright as its EXIF says. ValueError when unreadable or truncated."""
+    path = Path(path)
+    try:
+        with Image.open(path) as image:
+            image.load()  # Pillow refuses a truncated file here; OpenCV would return it half grey
+            return np.array(ImageOps.exif_transpose(image).convert("RGB"))
+    except FileNotFoundError:
+        raise FileNotFoundError(f"no such picture: {path}") from None
+    except (OSError, SyntaxError, ValueError, EOFError, Image.DecompressionBombError) as error:
+        raise ValueError(f"unreadable or truncated picture {path}: {error}; copy it again or take it away") from error
+
+
+def is_rotated(path: str | Path) -> bool:
+    """Whether the EXIF of a picture asks for it to be turned or mirrored."""
+    with Image.open(path) as image:
+        return image.getexif().get(ExifTags.Base.Orientation, 1) not in (0, 1)
+
+
+def save_image(path: str | Path, image: np.ndarray):
+    """Write (H, W, 3) uint8 RGB, losslessly as PNG or (by the name) as JPEG of high quality, whole or not at all."""
+    path = Path(path)
+    with replacing(path) as temporary:
+        if path.suffix.lower() in (".jpg", ".jpeg"):
+            Image.fromarray(image).save(temporary, "JPEG", quality=98, subsampling=0)
+        else:
+            Image.fromarray(image).save(temporary, "PNG", compress_level=3)
+
+
+@contextmanager
+def replacing(path: str | Path) -> Iterator[Path]:
+    """A temporary path beside ``path`` to write to; moved into place at the end, removed if anything goes wrong."""
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        yield temporary
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def load_views(folder: str | Path) -> list[View]:
+    """The posed pictures of a capture folder, in the order of its transforms.json; poses in its frame [m or arbitrary]."""
+    folder = Path(folder)
+    meta = _load_transforms(folder)
+    views = [_view(folder, meta, frame, i) for i, frame in enumerate(meta["frames"])]
+    twice = [name for name, count in Counter(v.name for v in views).items() if count > 1]
+    if twice:
+        raise ValueError(f"{folder / 'transforms.json'}: more than one frame is called {', '.join(twice[:6])}")
+    return views
+
+
+def load_frame(folder: str | Path) -> dict:
+    """What the "scene2skill" key of transforms.json says of the frame: at least name and unit, "arbitrary" where it is silent.
+
+    ``world_from_original`` (a list of 4 lists) is the similarity from the reconstruction's own frame, where there is one.
+    """
+    extra = _load_transforms(Path(folder)).get("scene2skill") or {}
+    return {"name": "arbitrary", "unit": "arbitrary"} | extra.get("frame", {}) | {
+        key: extra[key] for key in ("world_from_original",) if key in extra
+    }
+
+
+def _load_transforms(folder: Path) -> dict:
+    path = folder / "transforms.json"
+    if not path.is_file():
+        raise FileNotFoundError(f"no transforms.json in {folder}: reconstruct its photographs first")
+    try:
+        meta = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise ValueError(f"{path} is not JSON: {error}") from error
+    frames = meta.get("frames") if isinstance(meta, dict) else None
+    if not isinstance(frames, list) or not frames or not all(isinstance(f, dict) for f in frames):
+        raise ValueError(f"{path}: the key frames must hold a list of at least one frame")
+    return meta
+
+
+def _view(folder: Path, meta: dict, frame: dict, index: int) -> View:
+    """One frame of transforms.json; its own intrinsics go before those of the whole file."""
+    where = f"{folder / 'transforms.json'}, frame {index}"
+    missing = [key for key in ("file_path", "transform_matrix") if key not in frame]
+    missing += [key for key in INTRINSICS if key not in frame and key not in meta]
+    if missing:
+        raise ValueError(f"{where}: missing {', '.join(missing)}")
+    where = f"{where} ({frame['file_path']})"
+    lens = {key: frame.get(key, meta.get(key)) for key in INTRINSICS + DISTORTION}
+    if any(lens[key] for key in DISTORTION):
+        bent = ", ".join(f"{key} {lens[key]}" for key in DISTORTION if lens[key])
+        raise ValueError(f"{where}: lens distortion ({bent}) is not read; reconstruct from the photographs instead")
+    camera = _camera(lens, frame["transform_matrix"], where)
+    path = _picture_path(folder, frame["file_path"], where)
+    image = load_image(path)
+    if image.shape[:2] != (camera.height, camera.width):
+        raise ValueError(f"{where}: the picture is {image.shape[1]}x{image.shape[0]}, but w, h say {camera.width}x{camera.height}")
+    return View(path.stem, camera, image)
+
+
+def _camera(lens: dict, matrix, where: str) -> Camera:
+    try:
+        pose = np.array(matrix, dtype=float)
+        if pose.shape != (4, 4) or not np.allclose(pose[3], [0, 0, 0, 1]):
+            raise ValueError("transform_matrix must be (4, 4) with 0 0 0 1 as its last row")
+        K = np.array([[lens["fl_x"], 0, lens["cx"]], [0, lens["fl_y"], lens["cy"]], [0, 0, 1]], dtype=float)
+        if not (min(lens[key] for key in ("w", "h", "fl_x", "fl_y")) > 0):
+            raise ValueError("w, h, fl_x, fl_y must be positive")
+        return Camera(K, pose @ OPENCV_FROM_OPENGL, lens["w"], lens["h"])
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{where}: {error}") from error
+
+
+def _picture_path(folder: Path, file_path, where: str) -> Path:
+    root = os.path.abspath(folder)
+    path = os.path.normpath(os.path.join(root, str(file_path)))
+    if os.path.commonpath([root, path]) != root:
+        raise ValueError(f"{where}: the picture lies outside the capture folder; file_path must be relative to it")
+    if not os.path.isfile(path):
+        raise FileNotFoundError(f"{where}: no such picture")
+    return Path(path)
+
+
+def save_views(
+    folder: str | Path,
+    views: Sequence[View],
+    *,
+    images: str = "images",
+    points: np.ndarray | None = None,
+    colours: np.ndarray | None = None,
+    frame: dict | None = None,
+    original: np.ndarray | None = None,
+):
+    """Write a capture folder: pictures, then sparse.ply, and transforms.json last, so that a killed job leaves none.
+
+    images: name of the pictures' folder inside ``folder``; a picture that is there already, pixel for pixel, is kept.
+    points: (N, 3) in the views' frame [m]; colours: (N, 3) uint8.
+    frame: what is known of the frame, such as {"name": "robot base", "unit": "m", "residual_mm": 0.8}.
+    original: world_from_original (4, 4), the similarity that brought the reconstruction's own frame here.
+    """
+    folder = Path(folder)
+    if not views:
+        raise ValueError(f"no views to save to {folder}")
+    shared = _intrinsics(views[0].camera)
+    frames = []
+    for view in views:
+        own = _intrinsics(view.camera)
+        pose = (view.camera.world_from_camera @ OPENCV_FROM_OPENGL).tolist()
+        path = _save_picture(folder / images, view)
+        frames.append({"file_path": f"{images}/{path.name}", "transform_matrix": pose} | (own if own != shared else {}))
+    meta = {"camera_model": "OPENCV", **shared, "frames": frames}
+    if points is not None:
+        save_points(folder / "sparse.ply", points, colours)
+        meta["ply_file_path"] = "sparse.ply"
+    meta["scene2skill"] = {"version": 1, "frame": {"name": "arbitrary", "unit": "arbitrary"} | (frame or {})}
+    if original is not None:
+        meta["scene2skill"]["world_from_original"] = np.asarray(original, dtype=float).tolist()
+    with replacing(folder / "transforms.json") as temporary:
+        temporary.write_text(json.dumps(meta, indent=1, allow_nan=False), encoding="utf-8")
+
+
+def _intrinsics(camera: Camera) -> dict:
+    K = camera.K
+    if K[0, 1] or K[1, 0] or (K[2] != [0, 0, 1]).any():
+        raise ValueError("transforms.json holds no skewed camera")
+    return dict(zip(INTRINSICS, (camera.width, camera.height, K[0, 0].item(), K[1, 1].item(), K[0, 2].item(), K[1, 2].item())))
+
+
+def _save_picture(folder: Path, view: View) -> Path:
+    for path in (folder / f"{view.name}{suffix}" for suffix in (".png", ".jpg", ".JPG", ".jpeg")):
+        if path.is_file() and not is_rotated(path) and np.array_equal(load_image(path), view.image):
+            return path
+    path = folder / f"{view.name}.png"
+    save_image(path, view.image)
+    return path
+
+
+def load_points(folder: str | Path) -> tuple[np.ndarray, np.ndarray]:
+    """The sparse points of a capture folder: positions (N, 3) in its frame and colours (N, 3) uint8."""
+    import trimesh
+
+    folder = Path(folder)
+    path = _picture_path(folder, _load_transforms(folder).get("ply_file_path", "sparse.ply"), f"sparse points of {folder}")
+    try:
+        cloud = trimesh.load(path, file_type="ply", process=False)
+        points = np.array(cloud.vertices, dtype=float).reshape(-1, 3)
+    except Exception as error:  # a parser of foreign files may fail in any way
+        raise ValueError(f"{path} is not a readable ply file: {error}") from error
+    colours = np.asarray(getattr(cloud, "colors", ()), dtype=np.uint8)
+    has_colours = colours.ndim == 2 and len(colours) == len(points)
+    return points, np.ascontiguousarray(colours[:, :3]) if has_colours else np.full(points.shape, 128, np.uint8)
+
+
+def save_points(path: str | Path, points: np.ndarray, colours: np.ndarray | None = None):
+    """Write (N, 3) points with (N, 3) uint8 colours (grey if none) as binary little-endian ply, in double precision."""
+    points = np.asarray(points, dtype=float)
+    rows = np.empty(len(points), dtype=[("position", "<f8", 3), ("colour", "u1", 3)])
+    rows["position"] = points
+    rows["colour"] = 128 if colours is None else colours
+    properties = [f"property double {axis}" for axis in "xyz"] + [f"property uchar {c}" for c in ("red", "green", "blue")]
+    header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(points)}", *properties, "end_header", ""]
+    with replacing(path) as temporary:
+        temporary.write_bytes("\n".join(header).encode() + rows.tobytes())

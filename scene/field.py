@@ -1,0 +1,219 @@
+"""The field: density and colour everywhere in a scene, and the pictures it gives.
+
+A ray's channels are composited along the ray first (`scene.volume`) and shaded once: the diffuse colour is
+a sum of voxels, and a small network adds what depends on the direction of view, from the composited
+features (deferred shading, as in SNeRG and MERF). Light that passes everything meets ``background``.
+"""
+
+import os
+import zipfile
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from scene import kernels
+from scene.camera import Camera
+from scene.grid import BRICK, CHANNELS, Grid
+from scene.occupancy import distances
+
+VERSION = 1
+FAR = 1e4
+STOP = 1e-3
+STOP_TRAINING = 1e-2
+THIN = 0.02
+
+
+@dataclass(eq=False)
+class Shading:
+    """The network: composited channels and direction of view -> colour, with what lies behind everything.
+
+    background (7,): the channels of the light from infinity; inner (16, H), outer (H, 3): weights, see `kernels.shade`.
+    """
+
+    background: np.ndarray
+    inner: np.ndarray
+    outer: np.ndarray
+
+    @classmethod
+    def initial(cls, rng: np.random.Generator, hidden: int = 32) -> "Shading":
+        """Grey background, no dependence on the direction of view."""
+        background = np.array([0.5] * 3 + [0.0] * 4, np.float32)
+        inner = rng.normal(0, np.sqrt(2 / 16), (16, hidden)).astype(np.float32)
+        return cls(background, inner, np.zeros((hidden, 3), np.float32))
+
+    @property
+    def parameters(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        return self.background, self.inner, self.outer
+
+
+@dataclass(eq=False)
+class Rays:
+    """n rays in normalised coordinates. origins, directions (n, 3); near (n,): all float32."""
+
+    origins: np.ndarray
+    directions: np.ndarray
+    near: np.ndarray
+
+
+@dataclass(eq=False)
+class Marched:
+    """What `kernels.march` found: composited channels (n, 8), transmittance (n,), median distance (n,), and its samples."""
+
+    channels: np.ndarray
+    through: np.ndarray
+    distance: np.ndarray
+    samples: tuple
+
+
+@dataclass(eq=False)
+class Field:
+    """A trained scene.
+
+    centre (3,) and half: the box of interest in the world [m]; grid and shading: what was learnt; occupied_distance
+    (n^3,) uint8: cells to the nearest occupied cell; step: sample spacing in contracted space; scale, shift: density
+    is scale * softplus(raw + shift); near: distance from a camera at which its rays begin, in units of ``half``.
+    """
+
+    centre: np.ndarray
+    half: float
+    grid: Grid
+    shading: Shading
+    occupied_distance: np.ndarray
+    step: float
+    scale: float
+    shift: float
+    near: float
+
+    def rays(self, origins, directions) -> Rays:
+        """Rays of the world (n, 3) [m] in the field's normalised coordinates."""
+        origins = np.ascontiguousarray((np.asarray(origins) - self.centre) / self.half, np.float32)
+        directions = np.ascontiguousarray(directions, np.float32)
+        return Rays(origins, directions, np.full(len(origins), self.near, np.float32))
+
+    def march(self, rays: Rays, far=None, jitter=None, keep: int = 0, seen=None, threads: int = kernels.THREADS) -> Marched:
+        """Composite the grid along rays; ``keep`` > 0 keeps up to so many samples a ray on average, for the gradient."""
+        n = len(rays.near)
+        far = np.full(n, FAR, np.float32) if far is None else far
+        jitter = np.full(n, 0.5, np.float32) if jitter is None else jitter
+        capacity = max(keep, 1)
+        first, count = np.empty(n, np.int64), np.empty(n, np.int64)
+        t, stretch, alpha = (np.empty(n * capacity, np.float32) for _ in range(3))
+        feature = np.empty((n * capacity, CHANNELS), np.float32)
+        out, through, distance = np.empty((n, CHANNELS), np.float32), np.empty(n, np.float32), np.empty(n, np.float32)
+        size = round(len(self.occupied_distance) ** (1 / 3))
+        if seen is None:
+            seen = np.zeros(len(self.occupied_distance) if keep else 1, np.float32)
+        kernels.in_parallel(
+            kernels.march, n, threads, rays.origins, rays.directions, rays.near, far, jitter,
+            np.float32(self.step), np.float32(self.step * self.scale), size, self.occupied_distance,
+            seen,
+            self.grid.sizes, self.grid.table, self.grid.starts, self.grid.values, np.float32(self.shift), np.float32(STOP_TRAINING if keep else STOP), np.float32(THIN),
+            min(keep, 1), capacity, first, count, t, stretch, alpha, feature, out, through, distance,
+        )  # fmt: skip
+        return Marched(out, through, distance, (first, count, t, stretch, alpha, feature))
+
+    def render(self, camera: Camera, rows: int = 64) -> tuple[np.ndarray, np.ndarray]:
+        """The picture (height, width, 3) uint8 and its depth (height, width) float32 [m] along z; nan where nothing is hit."""
+        rgb = np.empty((camera.height, camera.width, 3), np.uint8)
+        depth = np.empty((camera.height, camera.width), np.float32)
+        pixels = camera.pixel_centres()
+        for top in range(0, camera.height, rows):
+            origins, directions = camera.rays(pixels[top : top + rows].reshape(-1, 2))
+            rays = self.rays(origins, directions)
+            marched = self.march(rays)
+            block = slice(top, top + rows)
+            colour = self.shade(marched, rays).reshape(-1, camera.width, 3)
+            rgb[block] = np.clip(colour * 255 + 0.5, 0, 255).astype(np.uint8)
+            along = marched.distance * self.half * (directions @ camera.forward)
+            depth[block] = along.reshape(-1, camera.width)
+        return rgb, depth
+
+    def shade(self, marched: Marched, rays: Rays, threads: int = kernels.THREADS) -> np.ndarray:
+        """Colour (n, 3) of marched rays."""
+        colour = np.empty((len(rays.near), 3), np.float32)
+        kernels.in_parallel(
+            kernels.shade, len(colour), threads, marched.channels, marched.through, rays.directions,
+            *self.shading.parameters, colour,
+        )  # fmt: skip
+        return colour
+
+    def transmittance(self, origins, points) -> np.ndarray:
+        """How much light (n,) gets from each point (n, 3) to the origin (n, 3) or (3,) [m] in front of it."""
+        points = np.asarray(points, dtype=float)
+        away = points - origins
+        distance = np.linalg.norm(away, axis=-1, keepdims=True)
+        rays = self.rays(np.broadcast_to(origins, points.shape), away / np.maximum(distance, 1e-12))
+        return self.march(rays, far=np.ascontiguousarray(distance[:, 0] / self.half, np.float32)).through
+
+    def save(self, path) -> None:
+        """Write the field to ``path``, atomically: what lies in occupied space, the voxels as float16."""
+        path = Path(path)
+        temporary = path.with_name(path.name + ".partial")
+        n = round(len(self.occupied_distance) ** (1 / 3))
+        occupied = (self.occupied_distance == 0).reshape(n, n, n)
+        grid = self.grid.within(occupied)
+        try:
+            with open(temporary, "wb") as file:
+                np.savez_compressed(
+                    file,
+                    version=VERSION,
+                    centre=self.centre,
+                    numbers=[self.half, self.step, self.scale, self.shift, self.near],
+                    sizes=grid.sizes,
+                    kept=np.packbits(grid.table > 0),
+                    values=grid.values.astype(np.float16),
+                    occupied=np.packbits(occupied),
+                    cells=n,
+                    **dict(zip(("background", "inner", "outer"), self.shading.parameters)),
+                )
+            os.replace(temporary, path)
+        finally:
+            temporary.unlink(missing_ok=True)
+
+    @classmethod
+    def load(cls, path) -> "Field":
+        """Read what `save` wrote; nothing in the file is executed. ValueError if it is not a whole field of this version."""
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                arrays = {key: file[key] for key in file.files}
+        except FileNotFoundError:
+            raise
+        except (OSError, ValueError, EOFError, zipfile.BadZipFile, zlib.error, KeyError, NotImplementedError, RuntimeError) as error:
+            raise ValueError(f"{path} is not a field, or was cut off: {error}; train it again") from None
+        if "version" not in arrays or arrays["version"].shape != () or arrays["version"] != VERSION:
+            raise ValueError(f"{path} is no field of version {VERSION}; train it again with this version")
+        try:
+            return cls._from_arrays(**{key: value for key, value in arrays.items() if key != "version"})
+        except (TypeError, ValueError, IndexError, KeyError, MemoryError) as error:
+            raise ValueError(f"{path} is damaged: {error}; train it again") from None
+
+    @classmethod
+    def _from_arrays(cls, centre, numbers, sizes, kept, values, occupied, cells, background, inner, outer) -> "Field":
+        n = int(cells)
+        sizes = sizes.astype(np.int64).reshape(-1)
+        if not (0 < n <= 1024 and len(sizes) > 0 and ((sizes > 0) & (sizes <= 4096)).all()):
+            raise ValueError(f"its grids have {n} and {sizes} cells")
+        entries = int(((sizes // BRICK + 1) ** 3).sum())
+        if kept.dtype != np.uint8 or kept.shape != ((entries + 7) // 8,) or occupied.shape != ((n**3 + 7) // 8,):
+            raise ValueError("its tables have the wrong size")
+        flags = np.unpackbits(kept, count=entries).astype(bool)
+        table = np.zeros(entries, np.int32)
+        table[flags] = 1 + np.arange(flags.sum())
+        hidden = inner.shape[-1] if inner.ndim == 2 else -1
+        shapes = {
+            "centre": (centre, (3,)), "numbers": (numbers, (5,)), "background": (background, (7,)),
+            "inner": (inner, (16, hidden)), "outer": (outer, (hidden, 3)),
+            "values": (values, (BRICK**3 * (1 + int(flags.sum())), CHANNELS)),
+        }  # fmt: skip
+        for name, (array, shape) in shapes.items():
+            if array.shape != shape or array.dtype.kind != "f" or not np.isfinite(array).all():
+                raise ValueError(f"{name} must be {shape} finite numbers, not {array.dtype} {array.shape}")
+        half, step, scale, shift, near = map(float, numbers)
+        if not (half > 0 and step > 0 and scale > 0 and near >= 0):
+            raise ValueError("its box, step and scale must be positive")
+        occupied = np.unpackbits(occupied, count=n**3).reshape(n, n, n)
+        shading = Shading(*(np.ascontiguousarray(p, np.float32) for p in (background, inner, outer)))
+        grid = Grid(sizes, table, np.ascontiguousarray(values, np.float32))
+        return cls(centre.astype(float), half, grid, shading, distances(occupied), step, scale, shift, near)

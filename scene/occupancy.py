@@ -1,0 +1,86 @@
+"""Which part of space a field is made of: the box of interest, what the photographs see, what is occupied.
+
+An occupancy grid is (n, n, n) bool over contracted space, the cube [-2, 2]^3 (`scene.volume.contract`).
+"""
+
+import numpy as np
+
+from scene import kernels
+
+FARTHEST = 32  # distances to occupied cells are counted up to this many cells
+
+
+def box_of_interest(views, points=None, bounds=None) -> tuple[np.ndarray, float]:
+    """Centre (3,) and half width of the cube that gets the grid's full resolution [m].
+
+    bounds: (2, 3) lowest and highest corner. Without it the cube holds 94 % of the points (N, 3) along each axis; without
+    those it stands where the optical axes meet and reaches 0.6 of the way to the cameras.
+    """
+    if bounds is not None:
+        low, high = np.asarray(bounds, dtype=float)
+    elif points is not None and len(points) >= 10:
+        low, high = np.percentile(np.asarray(points, dtype=float), [3, 97], axis=0)
+        low, high = low - 0.05 * (high - low).max(), high + 0.05 * (high - low).max()
+    else:
+        centres = np.array([view.camera.centre for view in views])
+        axes = np.array([view.camera.forward for view in views])
+        across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
+        middle = np.linalg.solve(across.sum(0) + 1e-6 * np.eye(3), (across @ centres[:, :, None]).sum(0)[:, 0])
+        reach = 0.6 * np.median(np.linalg.norm(centres - middle, axis=1))
+        low, high = middle - reach, middle + reach
+    if not (np.isfinite([low, high]).all() and (high >= low).all() and (high - low).max() > 0):
+        raise ValueError(f"the box of interest must have a lower and a higher corner, not {low} and {high}; give bounds=")
+    return (low + high) / 2, float((high - low).max() / 2)
+
+
+def contract(x: np.ndarray) -> np.ndarray:
+    """`scene.volume.contract` in numpy: (..., 3) -> (..., 3)."""
+    r = np.maximum(np.abs(x).max(-1, keepdims=True), 1.0)
+    return x * (2 * r - 1) / r**2
+
+
+def uncontract(c: np.ndarray) -> np.ndarray:
+    """The inverse of `contract`; the outermost places come back from a thousand times the box."""
+    r = np.abs(c).max(-1, keepdims=True)
+    return np.where(r <= 1, c, c / np.maximum(r * np.maximum(2 - r, 1e-3), 1e-9))
+
+
+def cell_centres(n: int) -> np.ndarray:
+    """(n^3, 3) contracted places of the cells' centres, row-major."""
+    axis = (np.arange(n) + 0.5) * 4 / n - 2
+    return np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1).reshape(-1, 3)
+
+
+def seen(views, centre, half: float, n: int, least: int = 2) -> np.ndarray:
+    """Cells that at least ``least`` of the pictures (all, if there are fewer) show, and their neighbours."""
+    world = uncontract(cell_centres(n)) * half + centre
+    homogeneous = np.concatenate([world, np.ones((len(world), 1))], 1).astype(np.float32)
+    count = np.zeros(len(world), np.int32)
+    for view in views:
+        x, y, z = view.camera.projection.astype(np.float32) @ homogeneous.T
+        count += (z > 0) & (x >= 0) & (x <= z * view.camera.width) & (y >= 0) & (y <= z * view.camera.height)
+    return dilated((count >= min(least, len(views))).reshape(n, n, n))
+
+
+def dilated(occupied: np.ndarray, cells: int = 1) -> np.ndarray:
+    """Occupied cells and all within ``cells`` of them (L-inf)."""
+    for axis in range(3):
+        grown = occupied.copy()
+        for k in range(1, cells + 1):
+            lower, upper = [slice(None)] * 3, [slice(None)] * 3
+            lower[axis], upper[axis] = slice(None, -k), slice(k, None)
+            grown[tuple(lower)] |= occupied[tuple(upper)]
+            grown[tuple(upper)] |= occupied[tuple(lower)]
+        occupied = grown
+    return occupied
+
+
+def resampled(occupied: np.ndarray, n: int) -> np.ndarray:
+    """The same space in cells of another size, (n, n, n); n is a multiple of the present size."""
+    index = (np.arange(n) * len(occupied)) // n
+    return occupied[np.ix_(index, index, index)]
+
+
+def distances(occupied: np.ndarray) -> np.ndarray:
+    """(n^3,) uint8: Chebyshev distance [cells] of each cell to the nearest occupied one, at most FARTHEST."""
+    return kernels.chebyshev(np.ascontiguousarray(occupied, np.uint8), np.uint8(FARTHEST)).ravel()

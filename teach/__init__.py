@@ -1,0 +1,1 @@
+"""Sketches become a distribution of 3D trajectories."""

@@ -1,0 +1,170 @@
+"""Ray-tracing Probabilistic Trajectory Learning (RPTL): sketches on two or more views -> a skill (Zhi et al. 2023).
+
+    sketches ─ common time ─ densities per view ─ Algorithm 1 ─ Gaussian weights ─ skill
+               strokes        density.py           raytrace.py   likelihood.py       trajectory.py
+"""
+
+import time as clock
+from collections.abc import Sequence
+from contextlib import contextmanager
+from itertools import combinations
+
+import numpy as np
+import torch
+
+from scene.camera import Camera
+from teach.align import common_times, resample
+from teach.basis import SquaredExponential
+from teach.density import Flow
+from teach.likelihood import fit_coherent, fit_diagonal, fit_mean, hand_prior, moments_over_time
+from teach.raytrace import Algorithm1, Intersections
+from teach.sketch import Event, Sketch, SketchError, check, ray_angle
+from teach.trajectory import Skill, TrajectoryDistribution
+
+POINTS = 100
+"""Points at even times by which a stroke is represented while fitting."""
+
+
+def fit(
+    sketches: Sequence[Sketch],
+    *,
+    seed: int = 0,
+    density=None,
+    raytrace=None,
+    basis=None,
+    time: str = "aligned",
+    covariance: str = "coherent",
+    smoothness: float = 1e-8,
+    strength: float = 20.0,
+) -> Skill:
+    """Learn the motion that the sketches draw.
+
+    density: Flow(), or JointFlow() as the paper has it. raytrace: Algorithm1(). basis: SquaredExponential(). time: what is common
+    to strokes: "aligned" (epipolar geometry), "arc_length" or the "drawn" time of each, normalised. covariance: "coherent" (full, of whole strokes) or
+    "diagonal" (the paper's independent weights). smoothness: penalty of the mean's integrated squared acceleration, against its
+    squared error. strength: number of strokes that the coherent covariance's prior is worth. Raises SketchError.
+    """
+    started = clock.perf_counter()
+    density, raytrace, basis = density or Flow(), raytrace or Algorithm1(), basis or SquaredExponential()
+    if covariance not in COVARIANCES:
+        raise ValueError(f"covariance is one of {', '.join(COVARIANCES)}, not {covariance!r}")
+    check(sketches)
+    drawn = [sketch for sketch in sketches if sketch.motions]
+    cameras = [sketch.camera for sketch in drawn]
+    times = common_times(drawn, time)
+    strokes = [
+        np.stack([resample(stroke, at, POINTS) for stroke, at in zip(sketch.motions, view, strict=True)])
+        for sketch, view in zip(drawn, times, strict=True)
+    ]
+    with _one_thread():
+        densities = [density.fit(s, (c.width, c.height), seed=seed + i) for i, (s, c) in enumerate(zip(strokes, cameras))]
+        met = [raytrace([densities[i], densities[j]], [cameras[i], cameras[j]], seed=seed) for i, j in combinations(range(len(drawn)), 2)]
+    mean, grid, variance = _mean(basis, met, smoothness)
+    S = COVARIANCES[covariance](basis, mean, grid, variance, strokes, cameras, smoothness, strength)
+    report = _report(drawn, strokes, densities, met, basis, mean)
+    report["seconds"] = clock.perf_counter() - started
+    duration = max(float(np.median([stroke.duration for sketch in drawn for stroke in sketch.motions])), 0.1)
+    keep_out = tuple(
+        Sketch(sketch.view, sketch.camera, outlines)
+        for sketch in sketches
+        if (outlines := tuple(stroke for stroke in sketch.strokes if stroke.kind == "keep_out"))
+    )
+    return Skill(TrajectoryDistribution(basis, mean, S), duration, _events(drawn, times, duration), None, keep_out, report)
+
+
+@contextmanager
+def _one_thread():
+    """torch on one thread, and as before afterwards: the flows are so small that a second thread only waits for the first."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
+
+
+def _mean(basis, met: list[Intersections], smoothness: float):
+    """Mean of the weights (M, 3), the times (T,) at which rays met, and the points' mean square from the mean there (T, 3)."""
+    grid = met[0].grid
+    times, points, weights = (np.concatenate([getattr(m, name) for m in met]) for name in ("times", "points", "weights"))
+    centre, variance, seen = moments_over_time(times, points, weights, grid)
+    if seen.sum() < 2:
+        raise SketchError(f"the rays of the views meet at {seen.sum()} of {len(grid)} times: the strokes of the views do not "
+                          "show the same motion, or near, far, delta exclude it; draw them again or widen teach.raytrace")
+    mean = fit_mean(basis, grid, centre, seen, smoothness)
+    return mean, grid[seen], (variance + (centre - basis(grid) @ mean) ** 2)[seen]
+
+
+def _diagonal(basis, mean, grid, variance, strokes, cameras, smoothness, strength) -> np.ndarray:
+    return np.diag(fit_diagonal(basis, grid, variance).ravel())
+
+
+def _coherent(basis, mean, grid, variance, strokes, cameras, smoothness, strength) -> np.ndarray:
+    t = np.linspace(0, 1, POINTS)[:: POINTS // 50]
+    x, Psi = basis(t) @ mean, np.kron(basis(t), np.eye(3))
+    observations = []
+    for camera, drawn in zip(cameras, strokes):
+        J = _jacobian(camera, x)
+        H = np.einsum("tua,taw->tuw", J, Psi.reshape(len(t), 3, -1)).reshape(2 * len(t), -1)
+        residuals = (drawn - drawn.mean(axis=0))[:, :: POINTS // 50].reshape(len(drawn), -1)
+        observations.append((H, residuals))
+    prior = hand_prior(basis, mean, smoothness)
+    return fit_coherent(observations, prior, strength)
+
+
+COVARIANCES = {"coherent": _coherent, "diagonal": _diagonal}
+
+
+def _jacobian(camera: Camera, x) -> np.ndarray:
+    """Derivative (T, 2, 3) [px/m] of the projection at points x (T, 3)."""
+    P = camera.projection
+    homogeneous = x @ P[:, :3].T + P[:, 3]
+    pixels, depth = homogeneous[:, :2] / homogeneous[:, 2:], homogeneous[:, 2]
+    return (P[None, :2, :3] - pixels[:, :, None] * P[None, 2:, :3]) / depth[:, None, None]
+
+
+def _events(drawn, times, duration: float) -> tuple[Event, ...]:
+    """Median over strokes of the time [s] at which each event was marked, on the skill's clock."""
+    marked: dict[str, list[float]] = {}
+    for sketch, view in zip(drawn, times, strict=True):
+        for stroke, at in zip(sketch.motions, view, strict=True):
+            for event in stroke.events:
+                marked.setdefault(event.name, []).append(float(np.interp(event.time, stroke.times, at)))
+    return tuple(Event(name, duration * float(np.median(times))) for name, times in marked.items())
+
+
+def _report(drawn, strokes, densities, met, basis, mean) -> dict:
+    """Plain numbers on the fit, and warnings in sentences."""
+    x = basis(np.linspace(0, 1, POINTS)) @ mean
+    residual = {}
+    for sketch, drawn_points in zip(drawn, strokes):
+        residual[sketch.view] = float(np.linalg.norm(drawn_points.mean(axis=0) - sketch.camera.project(x), axis=-1).mean())
+    angles = [ray_angle(a, b) for a, b in combinations(drawn, 2)]
+    counts = np.sum([m.counts for m in met], axis=0)
+    return {
+        "reprojection_px": residual,
+        "ray_angle_deg": float(max(angles)),
+        "intersections": counts.tolist(),
+        "noise": {sketch.view: density.noise for sketch, density in zip(drawn, densities)},
+        "warnings": _warnings(drawn, residual, max(angles), counts),
+    }
+
+
+def _warnings(drawn, residual, angle: float, counts) -> list[str]:
+    warnings = []
+    if (counts == 0).any():
+        warnings.append(f"At {int((counts == 0).sum())} of {len(counts)} times the views' rays do not meet; the motion is "
+                        "interpolated there.")
+    if angle < 15:
+        warnings.append(f"The views look from nearly the same side ({angle:.0f} degrees apart), so depth is uncertain; sketch on "
+                        "a view from another side.")
+    for sketch in drawn:
+        outside = np.mean([1 - sketch.camera.contains(stroke.points).mean() for stroke in sketch.motions])
+        if outside > 0:
+            warnings.append(f"{outside:.0%} of what is drawn on view {sketch.view} lies outside the picture.")
+        if residual[sketch.view] > 0.05 * sketch.camera.width:
+            warnings.append(f"The strokes on view {sketch.view} disagree with the others by {residual[sketch.view]:.0f} px on "
+                            "average; draw them again.")
+        if len(sketch.motions) < 2:
+            warnings.append(f"View {sketch.view} has one stroke: how far the motion may vary is a guess; three strokes show it.")
+    return warnings

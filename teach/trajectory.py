@@ -1,0 +1,204 @@
+"""A Gaussian distribution over continuous trajectories, and the skill that holds it.
+
+Notation (Zhi et al. 2023, Section IV-B; Paraschos et al. 2013)
+    xi(t) = W^T Phi(t)                  position [m] at normalised time t in [0, 1]; W (M, 3) weights [m]
+    w = W.ravel() ~ N(m, S)             basis-major: w[3 i + axis] = W[i, axis]; S (3M, 3M) [m^2]
+    Psi(t) = Phi(t) kron I_3            (3M, 3), so that xi(t) = Psi(t)^T w
+"""
+
+import json
+import os
+import tempfile
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from zipfile import BadZipFile
+
+import numpy as np
+from jaxtyping import Float
+
+from teach.basis import SquaredExponential
+from teach.sketch import Event, Sketch, dumps, loads
+
+EXACT = 1e-9
+"""A condition without covariance is met to this distance [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class TrajectoryDistribution:
+    """xi(t) = W^T Phi(t) with Gaussian weights. mean: (M, 3) [m]. covariance: (3M, 3M) [m^2], basis-major."""
+
+    basis: SquaredExponential
+    mean: Float[np.ndarray, "M 3"]
+    covariance: Float[np.ndarray, "3*M 3*M"]
+
+    def __post_init__(self):
+        mean, covariance = np.array(self.mean, dtype=float), np.array(self.covariance, dtype=float)
+        M = self.basis.count
+        if mean.shape != (M, 3) or covariance.shape != (3 * M, 3 * M):
+            raise ValueError(f"{M} basis functions need mean ({M}, 3) and covariance ({3 * M}, {3 * M}), "
+                             f"not {mean.shape} and {covariance.shape}")
+        if not (np.isfinite(mean).all() and np.isfinite(covariance).all()):
+            raise ValueError("a trajectory distribution's mean and covariance must be finite numbers")
+        if not np.allclose(covariance, covariance.T, rtol=1e-6, atol=1e-9 * max(np.abs(covariance).max(), 1e-300)):
+            raise ValueError("a covariance must be symmetric")
+        for name, array in (("mean", mean), ("covariance", (covariance + covariance.T) / 2)):
+            array.setflags(write=False)
+            object.__setattr__(self, name, array)
+
+    def features(self, t) -> np.ndarray:
+        """Psi at times t (T,), one under the other: (3T, 3M), so that features @ w is xi(t).ravel()."""
+        return np.kron(self.basis(t), np.eye(3))
+
+    def mean_at(self, t) -> np.ndarray:
+        """Mean position (T, 3) [m] at times t (T,)."""
+        return self.basis(t) @ self.mean
+
+    def covariance_at(self, t) -> np.ndarray:
+        """Covariance of the position (T, 3, 3) [m^2] at times t (T,)."""
+        Phi, M = self.basis(t), self.basis.count
+        return np.einsum("ti,iajb,tj->tab", Phi, self.covariance.reshape(M, 3, M, 3), Phi, optimize=True)
+
+    def sample(self, n: int, t, rng: np.random.Generator) -> np.ndarray:
+        """n trajectories at times t (T,): (n, T, 3) [m]."""
+        return self.basis(t) @ self.sample_weights(n, rng)
+
+    def sample_weights(self, n: int, rng: np.random.Generator) -> np.ndarray:
+        """n weight matrices (n, M, 3) [m]. The square root is an eigendecomposition: S may be singular."""
+        values, vectors = np.linalg.eigh(self.covariance)
+        deviations = rng.standard_normal((n, len(values))) * np.sqrt(np.clip(values, 0, None)) @ vectors.T
+        return self.mean + deviations.reshape(n, -1, 3)
+
+    def log_prob(self, t, x) -> np.ndarray:
+        """log N(x; xi's mean and covariance at t) (T,) of positions x (T, 3) [m] at times t (T,), each on its own."""
+        covariance = self.covariance_at(t)
+        offset = np.asarray(x, dtype=float) - self.mean_at(t)
+        mahalanobis = np.einsum("ta,ta->t", offset, np.linalg.solve(covariance, offset[..., None])[..., 0])
+        return -0.5 * (mahalanobis + np.linalg.slogdet(covariance)[1] + 3 * np.log(2 * np.pi))
+
+    def condition(self, t, x, covariance=None) -> "TrajectoryDistribution":
+        """The distribution of the trajectories that pass x at t; the rest of their shape follows by correlation.
+
+        t: () or (K,) times. x: (3,) or (K, 3) [m]. covariance: None (exactly there), (3, 3) for each of them or (K, 3, 3)
+        [m^2]. Where the distribution has no such motion (a singular S), what is missing is bridged by the least change of the
+        weights. Raises ValueError where conditions contradict each other. K = S Psi (Psi^T S Psi + R)^-1.
+        """
+        t = np.atleast_1d(np.asarray(t, dtype=float))
+        x = np.asarray(x, dtype=float).reshape(-1, 3)
+        if x.shape != (len(t), 3) or not (np.isfinite(t).all() and np.isfinite(x).all()):
+            raise ValueError(f"{len(t)} conditioned time(s) need as many finite positions (3,), not {x.shape}")
+        H, R = self.features(t), _blocks(covariance, len(t))
+        S, w = self.covariance, self.mean.ravel()
+        K = np.linalg.lstsq(_symmetric(H @ S @ H.T + R).T, H @ S, rcond=1e-12)[0].T
+        w = w + K @ (x.ravel() - H @ w)
+        A = np.eye(len(w)) - K @ H
+        if covariance is None:  # roundoff and singular S leave a remainder: the nearest weights that have none
+            w = _nearest(w, H, x.ravel())
+            A = A - np.linalg.pinv(H, rcond=1e-10) @ (H @ A)
+            if np.abs(H @ w - x.ravel()).max() > EXACT:
+                raise ValueError(f"no trajectory of this basis passes all {len(t)} points at t = {np.round(t, 4)}: "
+                                 "conditions at (nearly) the same time contradict each other")
+        return replace(self, mean=w.reshape(-1, 3), covariance=_symmetric(A @ S @ A.T + K @ R @ K.T))
+
+    def with_first_weight(self, x) -> "TrajectoryDistribution":
+        """The paper's way to start at x (3,) [m]: every sample keeps W_2: and alters W_1 so that xi(0) = x (Section IV-C).
+
+        Only the first bump of the basis moves; ``condition(0, x)`` moves all that is correlated with the start.
+        """
+        Phi, M = self.basis(0.0)[0], self.basis.count
+        A = np.eye(M)
+        A[0] = -Phi / Phi[0]
+        A[0, 0] = 0.0
+        mean = A @ self.mean
+        mean[0] += np.asarray(x, dtype=float).reshape(3) / Phi[0]
+        A = np.kron(A, np.eye(3))
+        return replace(self, mean=mean, covariance=_symmetric(A @ self.covariance @ A.T))
+
+
+@dataclass(frozen=True, eq=False)
+class Skill:
+    """What was taught.
+
+    duration: of the motion [s]. events: Events at times [s] of the skill. orientation: None, or rows (t, quat_xyzw) (K, 5) of
+    the hand. keep_out: Sketches of the regions to avoid. report: plain numbers and sentences about the fit (JSON).
+    """
+
+    distribution: TrajectoryDistribution
+    duration: float
+    events: tuple[Event, ...] = ()
+    orientation: Float[np.ndarray, "K 5"] | None = None
+    keep_out: tuple[Sketch, ...] = ()
+    report: dict = field(default_factory=dict)
+
+    def __post_init__(self):
+        if not 0 < self.duration < np.inf:
+            raise ValueError(f"a skill's duration is positive, not {self.duration} s")
+        if self.orientation is not None:
+            orientation = np.array(self.orientation, dtype=float)
+            if orientation.ndim != 2 or orientation.shape[1] != 5:
+                raise ValueError(f"a skill's orientation has rows (t, quat_xyzw) (K, 5), not {orientation.shape}")
+            object.__setattr__(self, "orientation", orientation)
+        object.__setattr__(self, "duration", float(self.duration))
+        object.__setattr__(self, "events", tuple(self.events))
+        object.__setattr__(self, "keep_out", tuple(self.keep_out))
+
+    def save(self, path) -> None:
+        """Write an npz file, whole or not at all."""
+        d, path = self.distribution, Path(path)
+        text = {
+            "kind": "scene2skill.skill",
+            "version": 1,
+            "basis": {"count": d.basis.count, "gamma": d.basis.gamma},
+            "events": [[event.name, event.time] for event in self.events],
+            "keep_out": dumps(self.keep_out),
+            "report": self.report,
+        }
+        arrays = {"mean": d.mean, "covariance": d.covariance, "duration": self.duration, "text": json.dumps(text)}
+        if self.orientation is not None:
+            arrays["orientation"] = self.orientation
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".tmp")
+        try:
+            with os.fdopen(handle, "wb") as file:
+                np.savez(file, **arrays)
+            os.replace(temporary, path)
+        except BaseException:
+            os.unlink(temporary)
+            raise
+
+    @classmethod
+    def load(cls, path) -> "Skill":
+        """Read what ``save`` wrote. Raises FileNotFoundError, or ValueError for any other file."""
+        if not Path(path).is_file():
+            raise FileNotFoundError(f"no skill file {path}")
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                arrays = {name: file[name] for name in file.files}
+            text = json.loads(str(arrays["text"]))
+            if (text["kind"], text["version"]) != ("scene2skill.skill", 1):
+                raise ValueError(f"version {text['version']!r} of {text['kind']!r}, expected 1 of 'scene2skill.skill'")
+            distribution = TrajectoryDistribution(SquaredExponential(**text["basis"]), arrays["mean"], arrays["covariance"])
+            events = tuple(Event(str(name), float(time)) for name, time in text["events"])
+            return cls(distribution, float(arrays["duration"]), events, arrays.get("orientation"),
+                       tuple(loads(text["keep_out"])), text["report"])
+        except (ValueError, KeyError, TypeError, EOFError, OSError, BadZipFile) as error:
+            raise ValueError(f"{path} is not a skill file ({error}); teach.fit writes one") from None
+
+
+def _blocks(covariance, count: int) -> np.ndarray:
+    """(3K, 3K) block diagonal of None (zero), (3, 3) or (K, 3, 3)."""
+    R = np.zeros((count, 3, count, 3))
+    if covariance is not None:
+        R[range(count), :, range(count)] = np.broadcast_to(np.asarray(covariance, dtype=float), (count, 3, 3))
+    return R.reshape(3 * count, 3 * count)
+
+
+def _nearest(w, H, x) -> np.ndarray:
+    """The weights nearest to w with H w = x; two steps, the second against roundoff."""
+    inverse = np.linalg.pinv(H, rcond=1e-10)
+    for _ in range(2):
+        w = w + inverse @ (x - H @ w)
+    return w
+
+
+def _symmetric(A) -> np.ndarray:
+    return (A + A.T) / 2

@@ -1,0 +1,276 @@
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from PIL import Image
+
+from scene import apriltag
+from scene.apriltag import Similarity, TagLayout
+from scene.camera import Camera, look_at
+from scene.colmap import ReconstructionFailed
+
+TAGS = Path(__file__).parents[2] / "shared" / "data" / "tags"
+SIZE = 0.12
+
+
+def pose(x=0.0, y=0.0, z=0.0, yaw_deg=0.0, tilt_deg=0.0):
+    c, s = np.cos(np.radians(yaw_deg)), np.sin(np.radians(yaw_deg))
+    a, b = np.cos(np.radians(tilt_deg)), np.sin(np.radians(tilt_deg))
+    matrix = np.eye(4)
+    matrix[:3, :3] = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ [[1, 0, 0], [0, a, -b], [0, b, a]]
+    matrix[:3, 3] = x, y, z
+    return matrix
+
+
+LAYOUT = TagLayout(SIZE, {3: pose(0.4, -0.3, 0, 20), 5: pose(0.9, 0.4, 0.1, 130), 8: pose(0.8, -0.4, 0.05, 0, 40), 11: pose(0.3, 0.4)})
+
+
+def cameras(count=8):
+    angles = np.linspace(0, 5, count)
+    eyes = [(0.6 + 1.2 * np.cos(a), 1.2 * np.sin(a), 0.9 + 0.1 * np.sin(3 * a)) for a in angles]
+    return [Camera.from_fov(look_at(eye, (0.6, 0, 0)), 640, 480, 50) for eye in eyes]
+
+
+def random_similarity(seed):
+    rng = np.random.default_rng(seed)
+    rotation = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    rotation *= np.linalg.det(rotation)
+    return Similarity(float(rng.uniform(0.1, 5)), rotation, rng.normal(size=3))
+
+
+def unscaled(similarity, to_move):
+    """The cameras in a model's frame that ``similarity`` brings to the robot's base."""
+    return [camera.moved(np.linalg.inv(similarity.matrix)) for camera in to_move]
+
+
+def detections(layout=LAYOUT, noise_px=0.0, seed=0):
+    rng = np.random.default_rng(seed)
+    return [
+        {number: camera.project(corners) + rng.normal(0, noise_px, (4, 2)) for number, corners in layout.corners().items()}
+        for camera in cameras()
+    ]
+
+
+# Detection
+
+
+@pytest.mark.skipif(not TAGS.exists(), reason="no official tag pictures here")
+@pytest.mark.parametrize("number", range(8))
+def test_corners_of_the_official_pictures_go_counter_clockwise_from_the_bottom_left(number):
+    cells = np.array(Image.open(TAGS / f"tag36_11_{number:05d}.png").convert("L"))
+    picture = np.pad(np.kron(cells, np.ones((20, 20), np.uint8)), 40, constant_values=255)
+    found = apriltag.detect(picture)
+    assert list(found) == [number]
+    low, high = 40 + 20, 40 + 9 * 20  # the black square's edges: cells 1 to 9 of 10
+    assert np.abs(found[number] - [[low, high], [high, high], [high, low], [low, low]]).max() < 0.6
+
+
+def tag_photograph(camera, number, world_from_tag, oversampling=4):
+    """A tag on grey, rendered with area sampling."""
+    large = camera.resized(camera.width * oversampling, camera.height * oversampling)
+    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
+    cells = np.pad(cv2.rotate(cv2.aruco.generateImageMarker(dictionary, number, 8), cv2.ROTATE_180), 1, constant_values=255)
+    picture = cv2.resize(cells, (800, 800), interpolation=cv2.INTER_NEAREST)
+    half = SIZE * 10 / 16
+    corners = np.array([[-half, half, 0], [half, half, 0], [half, -half, 0], [-half, -half, 0]]) @ world_from_tag[:3, :3].T + world_from_tag[:3, 3]
+    source = np.array([[0, 0], [800, 0], [800, 800], [0, 800]], np.float32) - 0.5
+    H = cv2.getPerspectiveTransform(source, (large.project(corners) - 0.5).astype(np.float32))
+    canvas = cv2.warpPerspective(picture, H, (large.width, large.height), borderMode=cv2.BORDER_CONSTANT, borderValue=140)
+    return cv2.resize(canvas, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
+
+
+def test_detected_corners_are_unbiased_and_exact_to_a_tenth_of_a_pixel():
+    rng, errors = np.random.default_rng(0), []
+    for number in range(20, 50):
+        eye = rng.normal(size=3) * [0.4, 0.4, 0] + [0, 0, rng.uniform(0.6, 1.3)]
+        camera = Camera.from_fov(look_at(eye, rng.normal(size=3) * [0.1, 0.1, 0]), 640, 480, 50)
+        world_from_tag = pose(yaw_deg=rng.uniform(0, 360))
+        found = apriltag.detect(tag_photograph(camera, number, world_from_tag))
+        errors += [found[number] - camera.project(TagLayout(SIZE, {number: world_from_tag}).corners()[number])] if number in found else []
+    errors = np.array(errors)
+    assert len(errors) >= 25
+    assert np.abs(errors.mean(axis=(0, 1))).max() < 0.03
+    assert np.median(np.linalg.norm(errors, axis=-1)) < 0.1
+
+
+def test_a_picture_without_tags_shows_none():
+    assert apriltag.detect(np.full((100, 120, 3), 128, np.uint8)) == {}
+
+
+# Layout
+
+
+def test_corners_lie_half_the_size_from_the_tags_centre():
+    corners = TagLayout(0.2, {7: pose(1, 2, 3)}).corners()[7]
+    assert np.allclose(corners, [[0.9, 1.9, 3], [1.1, 1.9, 3], [1.1, 2.1, 3], [0.9, 2.1, 3]])
+
+
+def test_a_layout_returns_exactly_as_saved(tmp_path):
+    LAYOUT.save(tmp_path / "tags.json")
+    loaded = TagLayout.load(tmp_path / "tags.json")
+    assert loaded.size == LAYOUT.size and loaded.ids == LAYOUT.ids
+    assert all(np.array_equal(loaded.base_from_tag[n], LAYOUT.base_from_tag[n]) for n in LAYOUT.ids)
+
+
+BROKEN = {
+    "missing size": lambda c: c.pop("size"),
+    "missing base_from_tag": lambda c: c["tags"]["3"].clear(),
+    "positive length": lambda c: c.update(size=-0.1),
+    "family must be 36h11": lambda c: c.update(family="25h9"),
+    "tag 900 is not in 36h11": lambda c: c["tags"].update({"900": c["tags"]["3"]}),
+    "tag 3: .*rigid": lambda c: c["tags"]["3"]["base_from_tag"][0].__setitem__(0, 5.0),
+    "at least one tag": lambda c: c.update(tags={}),
+    "tags 3 and 4 lie in the same place": lambda c: c.update(tags={"3": c["tags"]["3"], "4": c["tags"]["3"]}),
+    "tags.json": lambda c: c.update(tags=[1]),
+}
+
+
+@pytest.mark.parametrize("message", BROKEN)
+def test_a_broken_layout_says_what_is_wrong(tmp_path, message):
+    LAYOUT.save(tmp_path / "tags.json")
+    content = json.loads((tmp_path / "tags.json").read_text())
+    BROKEN[message](content)
+    (tmp_path / "tags.json").write_text(json.dumps(content))
+    with pytest.raises(ValueError, match=message):
+        TagLayout.load(tmp_path / "tags.json")
+
+
+def test_a_layout_that_is_not_there_is_named(tmp_path):
+    with pytest.raises(FileNotFoundError, match="no such tag layout"):
+        TagLayout.load(tmp_path / "tags.json")
+
+
+# Triangulation and the similarity
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.tuples(*[st.floats(-0.3, 0.3)] * 3))
+def test_exact_pixels_return_their_point(offset):
+    true = np.array([0.6, 0.0, 0.0]) + offset
+    point, agree = apriltag.triangulate([camera.project(true) for camera in cameras()], cameras())
+    assert np.allclose(point, true, atol=1e-9) and agree.all()
+
+
+def test_three_wrong_views_of_eight_do_no_harm():
+    true = np.array([0.5, 0.1, 0.05])
+    pixels = np.array([camera.project(true) for camera in cameras()])
+    pixels[[1, 4, 6]] += [[30, -10], [-4, 60], [5, 5]]
+    point, agree = apriltag.triangulate(pixels, cameras())
+    assert np.allclose(point, true, atol=1e-9)
+    assert agree.tolist() == [True, False, True, True, False, True, False, True]
+
+
+def test_one_view_gives_no_point():
+    point, agree = apriltag.triangulate([[100.0, 100.0]], cameras()[:1])
+    assert np.isnan(point).all() and not agree.any()
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 10**6))
+def test_umeyama_finds_the_similarity_that_made_the_points(seed):
+    true = random_similarity(seed)
+    points = np.random.default_rng(seed + 1).normal(size=(5, 3))
+    found = apriltag.umeyama(points, true.apply(points))
+    assert np.allclose(found.matrix, true.matrix, atol=1e-8)
+
+
+def test_points_on_a_line_give_no_frame():
+    line = np.linspace(0, 1, 6)[:, None] * [1.0, 2.0, 3.0]
+    with pytest.raises(ReconstructionFailed, match="one line"):
+        apriltag.umeyama(line, line)
+
+
+@settings(max_examples=10, deadline=None)
+@given(st.integers(0, 10**6))
+def test_exact_tags_return_the_exact_frame(seed):
+    true = random_similarity(seed)
+    found = apriltag.fit_frame(detections(), unscaled(true, cameras()), LAYOUT)
+    assert np.allclose(found.matrix, true.matrix, atol=1e-6 * true.scale)
+    assert found.residual_mm < 1e-3 and set(found.tags) == set(LAYOUT.ids)
+
+
+def test_noise_of_a_fifth_of_a_pixel_leaves_the_frame_within_a_millimetre():
+    true = random_similarity(4)
+    found = apriltag.fit_frame(detections(noise_px=0.2), unscaled(true, cameras()), LAYOUT)
+    errors = [np.linalg.norm(found.move(c).centre - t.centre) for c, t in zip(unscaled(true, cameras()), cameras())]
+    assert np.max(errors) < 1e-3
+    assert 0.02 < found.residual_mm < 1
+
+
+def test_a_tag_that_is_not_where_the_layout_says_is_left_out():
+    moved = TagLayout(SIZE, LAYOUT.base_from_tag | {5: pose(0.9, 0.45, 0.1, 130)})
+    true = random_similarity(5)
+    found = apriltag.fit_frame(detections(moved, 0.2), unscaled(true, cameras()), LAYOUT)
+    assert set(found.tags) == {3, 8, 11} and found.residual_mm < 1
+    assert found.tag_residuals_mm[5] == pytest.approx(50, abs=2)
+    assert np.allclose(found.matrix, true.matrix, atol=5e-3)
+
+
+def test_a_wrong_detection_in_some_views_does_no_harm():
+    seen = detections(noise_px=0.2)
+    seen[0][3], seen[2][3] = seen[0][3] + 40, seen[2][3][[1, 2, 3, 0]]
+    true = random_similarity(6)
+    found = apriltag.fit_frame(seen, unscaled(true, cameras()), LAYOUT)
+    assert set(found.tags) == set(LAYOUT.ids) and found.residual_mm < 1
+
+
+def test_a_layout_of_another_size_is_refused_or_shows_in_the_residual():
+    wrong = TagLayout(SIZE, {n: pose(*(2 * p[:3, 3])) for n, p in LAYOUT.base_from_tag.items()})
+    with pytest.raises(ReconstructionFailed, match="do not lie as the layout says.*of 4 tags"):
+        apriltag.fit_frame(detections(), unscaled(random_similarity(1), cameras()), wrong)
+
+
+def test_one_tag_alone_is_enough_for_a_frame():
+    one = TagLayout(SIZE, {8: LAYOUT.base_from_tag[8]})
+    true = random_similarity(7)
+    found = apriltag.fit_frame(detections(one), unscaled(true, cameras()), one)
+    assert np.allclose(found.matrix, true.matrix, atol=1e-5) and found.tags == (8,)
+
+
+def test_tags_seen_once_or_foreign_tags_are_listed_in_the_refusal():
+    seen = [{} for _ in cameras()]
+    seen[0], seen[3] = {3: detections()[0][3], 99: detections()[0][5]}, {99: detections()[3][5]}
+    with pytest.raises(ReconstructionFailed, match=r"\(3, 5, 8, 11\).*tag 3 in 1, tag 99 in 2"):
+        apriltag.fit_frame(seen, cameras(), LAYOUT)
+    with pytest.raises(ReconstructionFailed, match="no tag in any"):
+        apriltag.fit_frame([{}] * 8, cameras(), LAYOUT)
+
+
+def test_a_similarity_moves_points_and_cameras_alike():
+    similarity, camera = random_similarity(2), cameras()[0]
+    point = np.array([0.5, 0.1, 0.2])
+    assert np.allclose(similarity.move(camera).project(similarity.apply(point)), camera.project(point))
+    assert similarity.describe()["name"] == "robot base" and similarity.describe()["unit"] == "m"
+
+
+# Without tags
+
+
+def test_gravity_is_found_from_upright_cameras_in_any_frame():
+    true = random_similarity(3)
+    frame = apriltag.gravity_frame(unscaled(true, cameras()), np.zeros((0, 3)))
+    up = true.rotation @ frame.rotation.T @ [0, 0, 1]
+    assert up == pytest.approx([0, 0, 1], abs=1e-6)
+    distances = [np.linalg.norm(frame.move(c).centre) for c in unscaled(true, cameras())]
+    assert np.median(distances) == pytest.approx(1)
+    assert frame.describe() == {"name": "arbitrary", "unit": "arbitrary"}
+
+
+def test_the_ground_corrects_cameras_that_were_held_askew():
+    rng = np.random.default_rng(0)
+    ground = np.concatenate([rng.uniform(-1, 1, (200, 2)), rng.normal(0, 1e-3, (200, 1))], axis=1)
+    points = np.concatenate([ground, rng.uniform(-0.3, 0.3, (100, 3)) + [0, 0, 0.3]])
+    roll = np.array([[np.cos(0.1), -np.sin(0.1), 0, 0], [np.sin(0.1), np.cos(0.1), 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+    askew = [Camera(c.K, c.world_from_camera @ roll, c.width, c.height) for c in cameras()]
+    up = apriltag.gravity_frame(askew, points).rotation[2]
+    assert np.degrees(np.arccos(up[2])) < 0.2
+
+
+def test_cameras_side_by_side_still_have_an_up():
+    row = [Camera.from_fov(look_at((x, -2.0, 1.0), (x, 0.0, 0.0)), 64, 48, 50) for x in (0.0, 0.1, 0.2)]
+    frame = apriltag.gravity_frame(row, np.random.default_rng(0).normal(size=(50, 3)))
+    assert np.isfinite(frame.matrix).all() and frame.rotation[2] @ [0, 0, 1] > 0.8

@@ -1,0 +1,211 @@
+"""Clearances against closed forms, and sweeps that skip nothing."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pybullet
+import pytest
+from pybullet_utils.bullet_client import BulletClient
+from scipy.spatial.transform import Rotation
+
+from robot import shapes
+from robot.arm import Arm
+from robot.collision import CollisionModel
+
+CAP = 0.3
+
+
+@pytest.fixture
+def world():
+    client = BulletClient(pybullet.DIRECT)
+    yield SimpleNamespace(client=client, bodies={})
+    client.disconnect()
+
+
+def add(world, name, position, quat_xyzw=(0, 0, 0, 1), **shape):
+    world.bodies[name] = world.client.createMultiBody(
+        0, world.client.createCollisionShape(**shape), -1, position, quat_xyzw
+    )
+
+
+def gantry(folder, geometry):
+    """An arm that carries one shape along x, y and z."""
+    slides = "".join(
+        f'<link name="{axis}"/>'
+        if axis != "z"
+        else f'<link name="z"><collision><geometry>{geometry}</geometry></collision></link>'
+        for axis in "xyz"
+    )
+    joints = "".join(
+        f'<joint name="j{axis}" type="prismatic"><parent link="{parent}"/><child link="{axis}"/><axis xyz="{along}"/>'
+        f'<limit lower="-2" upper="2" velocity="1" effort="1"/></joint>'
+        for parent, axis, along in (("base", "x", "1 0 0"), ("x", "y", "0 1 0"), ("y", "z", "0 0 1"))
+    )
+    path = folder / "gantry.urdf"
+    path.write_text(f'<robot name="gantry"><link name="base"/>{slides}{joints}</robot>')
+    return Arm.from_urdf(path, tip_link="z", home=[2, 2, 2])
+
+
+def box_distance(x, half):
+    outside = np.abs(x) - half
+    return np.linalg.norm(np.maximum(outside, 0), axis=-1) + np.minimum(outside.max(axis=-1), 0)
+
+
+def assert_clearance(model, q, truth):
+    np.testing.assert_allclose(model.clearance(q), np.minimum(truth, CAP), atol=1e-3)
+
+
+SPHERE = '<sphere radius="0.05"/>'
+
+
+def positions(count=2000, seed=0):
+    return np.random.default_rng(seed).uniform(-0.45, 0.45, (count, 3))
+
+
+def test_a_ball_is_as_far_from_a_turned_box_as_the_closed_form(tmp_path, world):
+    turn, at, half = Rotation.from_euler("xyz", [0.3, -0.5, 1.0]), np.array([0.1, 0, -0.1]), np.array([0.2, 0.05, 0.1])
+    add(world, "box", at, turn.as_quat(), shapeType=pybullet.GEOM_BOX, halfExtents=half)
+    q = positions()
+    assert_clearance(
+        CollisionModel(gantry(tmp_path, SPHERE), world), q, box_distance(turn.inv().apply(q - at), half) - 0.05
+    )
+
+
+def test_a_ball_is_as_far_from_a_cylinder_as_the_closed_form(tmp_path, world):
+    add(world, "can", [0, 0.1, 0], shapeType=pybullet.GEOM_CYLINDER, radius=0.06, height=0.2)
+    q = positions()
+    x = q - [0, 0.1, 0]
+    truth = box_distance(np.column_stack([np.linalg.norm(x[:, :2], axis=1), x[:, 2]]), [0.06, 0.1]) - 0.05
+    assert_clearance(CollisionModel(gantry(tmp_path, SPHERE), world), q, truth)
+
+
+def test_a_ball_is_as_far_from_balls_capsules_and_the_floor_as_the_closed_form(tmp_path, world):
+    add(world, "ball", [0.2, 0, 0.1], shapeType=pybullet.GEOM_SPHERE, radius=0.08)
+    add(world, "capsule", [-0.2, 0, 0], shapeType=pybullet.GEOM_CAPSULE, radius=0.03, height=0.2)
+    add(world, "floor", [0, 0, -0.4], shapeType=pybullet.GEOM_PLANE)
+    q = positions()
+    x = q - [-0.2, 0, 0]
+    along = np.maximum(np.abs(x[:, 2]) - 0.1, 0)
+    capsule = np.sqrt((x[:, :2] ** 2).sum(axis=1) + along**2) - 0.03
+    truth = np.minimum.reduce([np.linalg.norm(q - [0.2, 0, 0.1], axis=1) - 0.08, capsule, q[:, 2] + 0.4]) - 0.05
+    assert_clearance(CollisionModel(gantry(tmp_path, SPHERE), world), q, truth)
+
+
+def test_a_capsule_is_as_far_from_a_crossing_capsule_as_the_closed_form(tmp_path, world):
+    add(
+        world,
+        "bar",
+        [0, 0, 0],
+        Rotation.from_euler("y", 90, degrees=True).as_quat(),
+        shapeType=pybullet.GEOM_CAPSULE,
+        radius=0.04,
+        height=0.3,
+    )
+    q = positions()
+    gap = np.column_stack([np.maximum(np.abs(q[:, 0]) - 0.15, 0), q[:, 1], np.maximum(np.abs(q[:, 2]) - 0.1, 0)])
+    apart = np.linalg.norm(gap, axis=1) > 1e-3  # where the axes meet the depth depends on the direction out
+    model = CollisionModel(gantry(tmp_path, '<capsule radius="0.03" length="0.2"/>'), world)
+    assert_clearance(model, q[apart], (np.linalg.norm(gap, axis=1) - 0.07)[apart])
+
+
+def test_boxes_are_as_far_apart_or_as_deep_as_the_closed_form(tmp_path, world):
+    add(world, "box", [0, 0, 0], shapeType=pybullet.GEOM_BOX, halfExtents=[0.2, 0.05, 0.1])
+    q = positions()
+    model = CollisionModel(gantry(tmp_path, '<box size="0.1 0.2 0.06"/>'), world)
+    assert_clearance(model, q, box_distance(q, np.array([0.25, 0.15, 0.13])))
+
+
+def test_a_mesh_is_its_convex_hull(tmp_path, world):
+    corners = (np.array(np.meshgrid(*[[0, 1]] * 3)).reshape(3, -1).T * [0.2, 0.1, 0.1]).tolist()
+    turn = Rotation.from_euler("z", 0.7)
+    add(world, "mesh", [0.1, 0.1, 0], turn.as_quat(), shapeType=pybullet.GEOM_MESH, vertices=corners)
+    q = positions()
+    x = turn.inv().apply(q - [0.1, 0.1, 0]) - [0.1, 0.05, 0.05]
+    assert_clearance(
+        CollisionModel(gantry(tmp_path, SPHERE), world), q, box_distance(x, np.array([0.1, 0.05, 0.05])) - 0.05
+    )
+
+
+def test_the_balls_contain_their_piece():
+    rng = np.random.default_rng(0)
+    for piece in (
+        shapes.box("b", [0.3, 0.1, 0.02], np.eye(4)),
+        shapes.cylinder("c", 0.05, 0.3, np.eye(4)),
+        shapes.convex("h", rng.normal(size=(30, 3)) * 0.1, np.eye(4)),
+    ):
+        weights = rng.dirichlet(np.full(len(piece.vertices), 0.2), 3000)
+        points = shapes.transform(piece.frame_from_piece, weights @ piece.vertices)
+        balls = piece.cover()
+        depth = balls[:, 3] - np.linalg.norm(points[:, None] - balls[:, :3], axis=2)
+        assert depth.max(axis=1).min() >= 0
+
+
+def test_the_fast_bound_never_hides_a_nearer_pair(world):
+    arm = Arm.load("panda")
+    for k, at in enumerate(np.random.default_rng(1).uniform([-0.6, -0.6, 0], [0.6, 0.6, 0.9], (8, 3))):
+        add(world, f"box{k}", at, shapeType=pybullet.GEOM_BOX, halfExtents=[0.05, 0.03, 0.1])
+    model = CollisionModel(arm, world)
+    q = arm.random(40, seed=2)
+    exact = []
+    for poses in arm.link_poses(q):
+        placed = set()
+        exact.append(min(model._distance(a, b, poses, placed) for a, b in model._pairs))
+    np.testing.assert_allclose(model.clearance(q), np.minimum(exact, CAP), atol=1e-6)
+
+
+def test_the_arm_is_clear_of_itself_at_home_and_touches_itself_when_folded():
+    model = CollisionModel(Arm.load("panda"))
+    assert model.clearance(model.arm.home) > 0.015
+    clearance, (a, b) = model.nearest([0, 1.7, 0, -3.05, 0, 0.0, 0])
+    assert clearance < 0 and a.startswith("panda") and b.startswith("panda")
+
+
+def test_neighbours_are_not_compared():
+    pairs = CollisionModel(Arm.load("panda")).own_pairs
+    assert ("panda_link1", "panda_link2") not in pairs and ("panda_hand", "panda_leftfinger") not in pairs
+    assert ("panda_link6", "panda_hand") not in pairs and ("panda_link1", "panda_hand") in pairs
+
+
+def test_the_base_may_stand_in_a_pedestal_but_the_hand_may_not_touch_it(world):
+    add(world, "pedestal", [0, 0, -0.2], shapeType=pybullet.GEOM_BOX, halfExtents=[0.2, 0.2, 0.25])
+    model = CollisionModel(Arm.load("panda"), world)
+    assert model.clearance(model.arm.home) > 0.015
+    assert any("pedestal" in (model.names[b],) and model.names[a] == "panda_hand" for a, b in model._pairs)
+
+
+def test_the_nearest_pair_is_named(world):
+    arm = Arm.load("panda")
+    add(world, "pole", arm.fk(arm.home)[:3, 3] + [0, 0, -0.03], shapeType=pybullet.GEOM_SPHERE, radius=0.03)
+    clearance, names = CollisionModel(arm, world).nearest(arm.home)
+    assert names[1] == "pole" and "finger" in names[0] and clearance < 0.02
+
+
+@pytest.mark.parametrize("at", [0.3, 0.4111, 0.6])
+def test_a_thin_pole_between_two_waypoints_is_not_skipped(world, at):
+    arm = Arm.load("panda")
+    path = np.stack([arm.home, arm.home + [1.5, 0, 0, 0, 0, 0, 0]])
+    through = arm.fk(path[0] + at * (path[1] - path[0]))[:3, 3]
+    add(world, "pole", through + [0, 0, 0.02], shapeType=pybullet.GEOM_CYLINDER, radius=0.005, height=0.1)
+    model = CollisionModel(arm, world)
+    assert model.clearance(path).min() > 0
+    sweep = model.sweep(path)
+    assert sweep.clearance[0] < 0 and "pole" in sweep.pairs[0]
+
+
+def test_a_swept_clearance_bounds_every_posture_on_the_way_and_is_sharp(world):
+    arm = Arm.load("panda")
+    add(world, "post", [0.45, 0.2, 0.3], shapeType=pybullet.GEOM_BOX, halfExtents=[0.02, 0.02, 0.3])
+    model = CollisionModel(arm, world)
+    path = np.stack([arm.home, arm.home + [0.25, 0, 0, 0.1, 0, 0, 0.3], arm.home + [-0.4, 0.2, 0, 0, 0, 0, 0]])
+    for k, bound in enumerate(model.sweep(path, required=0.25).clearance):
+        fine = path[k] + np.linspace(0, 1, 200)[:, None] * (path[k + 1] - path[k])
+        assert bound <= model.clearance(fine).min() + 1e-9
+    sharp = model.sweep(path, required=0.005, resolution=1e-4).clearance
+    assert (sharp > 0.005 - 2e-4).all()
+
+
+def test_a_path_with_room_is_certified(world):
+    arm = Arm.load("panda")
+    add(world, "wall", [0.9, 0, 0.5], shapeType=pybullet.GEOM_BOX, halfExtents=[0.02, 1, 1])
+    path = arm.home + np.linspace(0, 1, 20)[:, None] * np.array([0.5, 0, 0, 0, 0, 0, 0])
+    assert CollisionModel(arm, world).sweep(path, required=0.01).clearance.min() >= 0.01

@@ -1,0 +1,127 @@
+"""Every command answers quickly, and bad input gets one clear error, exit code 2 and nothing half written."""
+
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+ROOT = Path(__file__).parents[1]
+COMMAND = Path(sys.executable).with_name("scene2skill")
+MODULES = ("robot.capture", "scene.reconstruct", "scene.train", "scene.render", "teach.draw", "teach.fit", "robot.plan", "robot.execute", "conf.pipeline")  # fmt: skip
+
+
+def scene2skill(*arguments, cwd):
+    return subprocess.run([COMMAND, *arguments], capture_output=True, text=True, cwd=cwd, env=os.environ | {"OMP_NUM_THREADS": "1"})
+
+
+def photographs(folder, count=4, size=(64, 48), seed=0):
+    folder.mkdir(parents=True)
+    rng = np.random.default_rng(seed)
+    for i in range(count):
+        Image.fromarray(rng.integers(0, 255, (size[1], size[0], 3), dtype=np.uint8)).save(folder / f"{i}.png")
+    return folder
+
+
+def refused(result, *words):
+    """One clear line, exit code 2, no traceback."""
+    lines = [line for line in result.stderr.splitlines() if not line.startswith("Error executing job")]
+    assert result.returncode == 2, result.stderr
+    assert "Traceback" not in result.stderr and len(lines) == 1 and lines[0].startswith("error: "), result.stderr
+    for word in words:
+        assert word in lines[0], lines[0]
+
+
+@pytest.mark.parametrize("module", MODULES)
+def test_help_of_every_command(module):
+    result = subprocess.run([sys.executable, "-m", module, "--help"], capture_output=True, text=True, cwd=ROOT)
+    assert result.returncode == 0 and "scene2skill" in result.stdout, result.stderr
+
+
+def test_help_and_the_whole_config_answer_within_a_second(tmp_path):
+    for arguments in (["--help"], ["--cfg", "job"]):
+        times = []
+        for _ in range(3):
+            started = time.perf_counter()
+            assert scene2skill(*arguments, cwd=tmp_path).returncode == 0
+            times.append(time.perf_counter() - started)
+        assert min(times) < 1.0
+
+
+def test_the_command_works_beside_a_foreign_conf_folder(tmp_path):
+    (tmp_path / "conf").mkdir()
+    (tmp_path / "conf" / "config.yaml").write_text("mine: 1\n")
+    (tmp_path / "conf" / "__init__.py").write_text("raise SystemExit('the foreign one')\n")
+    assert "scene:" in scene2skill("--cfg", "job", cwd=tmp_path).stdout
+
+
+def test_an_unknown_world_names_the_known_ones(tmp_path):
+    refused(scene2skill("world=tabel", cwd=tmp_path), "world/tabel", "table")
+
+
+def test_an_unknown_setting_is_refused(tmp_path):
+    refused(scene2skill("teach.density.hiden=3", cwd=tmp_path), "hiden")
+
+
+def test_an_unknown_stage_names_the_known_ones(tmp_path):
+    refused(scene2skill("stages=[reconstrct]", cwd=tmp_path), "reconstrct", "reconstruct")
+
+
+def test_a_stage_without_the_files_it_needs_says_which_stage_makes_them(tmp_path):
+    refused(scene2skill("stages=[train]", cwd=tmp_path), "train", "reconstruct")
+
+
+def test_no_such_folder(tmp_path):
+    refused(scene2skill("photos=nowhere", cwd=tmp_path), "nowhere")
+
+
+def test_a_folder_without_pictures(tmp_path):
+    (tmp_path / "empty").mkdir()
+    refused(scene2skill("photos=empty", cwd=tmp_path), "empty")
+
+
+def test_fewer_than_three_pictures(tmp_path):
+    photographs(tmp_path / "two", 2)
+    refused(scene2skill("photos=two", cwd=tmp_path), "3")
+
+
+def test_a_truncated_picture_is_named(tmp_path):
+    folder = photographs(tmp_path / "cut")
+    data = (folder / "2.png").read_bytes()
+    (folder / "2.png").write_bytes(data[: len(data) // 2])
+    refused(scene2skill("photos=cut", cwd=tmp_path), "2.png")
+
+
+def test_pictures_of_different_sizes(tmp_path):
+    folder = photographs(tmp_path / "mixed")
+    Image.new("RGB", (32, 32)).save(folder / "9.png")
+    refused(scene2skill("photos=mixed", cwd=tmp_path), "size")
+
+
+def test_pictures_that_do_not_overlap(tmp_path):
+    photographs(tmp_path / "noise", 4, (320, 240))
+    refused(scene2skill("photos=noise", cwd=tmp_path), "overlap")
+    assert not (tmp_path / "data" / "noise" / "transforms.json").exists()
+
+
+def test_a_world_with_a_negative_size(tmp_path):
+    refused(scene2skill("stages=[capture]", "world.objects.0.size=[1,-1,1]", cwd=tmp_path), "size")
+
+
+def test_a_read_only_folder(tmp_path):
+    if os.geteuid() == 0:
+        pytest.skip("root writes everywhere")
+    (tmp_path / "data").mkdir(mode=0o500)
+    refused(scene2skill("stages=[capture]", cwd=tmp_path), "data")
+
+
+def test_a_full_disk(tmp_path):
+    """A file size limit stands for the disk: writing beyond it fails with the same kind of error."""
+    photographs(tmp_path / "noise", 4, (320, 240))
+    limited = f"ulimit -f 1; trap '' XFSZ; exec {COMMAND} photos=noise"
+    result = subprocess.run(["bash", "-c", limited], capture_output=True, text=True, cwd=tmp_path)
+    assert result.returncode == 2 and "Traceback" not in result.stderr, result.stderr

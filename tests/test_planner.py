@@ -1,0 +1,224 @@
+"""Plans: checked, timed within limits, the same for the same seed, and refused with a reason."""
+
+import json
+from types import SimpleNamespace
+
+import numpy as np
+import pybullet
+import pytest
+from pybullet_utils.bullet_client import BulletClient
+from scipy.spatial.transform import Rotation
+
+from robot.arm import Arm
+from robot.collision import CollisionModel
+from robot.planner import Plan, plan
+from robot.timing import motion_spline, time_path
+from teach.basis import SquaredExponential
+from teach.trajectory import Skill, TrajectoryDistribution
+
+GOAL = np.array([0.83, 0.10, 0.30])
+
+
+@pytest.fixture(scope="module")
+def arm():
+    return Arm.load("panda")
+
+
+@pytest.fixture(scope="module")
+def table():
+    """What stands around the goal in the table world of facts/worlds.md."""
+    client = BulletClient(pybullet.DIRECT)
+    boxes = {
+        "top": ([1.2, 2, 0.04], [1.15, 0.1, 0.2]),
+        "Cube": ([0.25] * 3, [0.85, 0.5, 0.35]),
+        "Object3": ([0.02, 0.2, 0.4], [0.75, 0.3, 0.4]),
+        "Object4": ([0.2, 0.05, 0.35], [0.75, -0.1, 0.4]),
+    }
+    bodies = {
+        name: client.createMultiBody(
+            0, client.createCollisionShape(pybullet.GEOM_BOX, halfExtents=np.array(size) / 2), -1, at
+        )
+        for name, (size, at) in boxes.items()
+    }
+    bodies["Can1"] = client.createMultiBody(
+        0, client.createCollisionShape(pybullet.GEOM_CYLINDER, radius=0.03, height=0.12), -1, [0.95, 0.1, 0.3]
+    )
+    yield SimpleNamespace(client=client, bodies=bodies)
+    client.disconnect()
+
+
+@pytest.fixture
+def free():
+    client = BulletClient(pybullet.DIRECT)
+    yield SimpleNamespace(client=client, bodies={})
+    client.disconnect()
+
+
+def skill_to(arm, goal, lift=0.1, spread=0.02, duration=4.0, **more):
+    """A distribution around a bow from where the hand is at home to the goal."""
+    s = np.linspace(0, 1, 60)[:, None]
+    start = arm.fk(arm.home)[:3, 3]
+    points = start + s * (goal - start) + lift * np.sin(np.pi * s) * [0, 0, 1]
+    basis = SquaredExponential(10, 30.0)
+    W = np.linalg.lstsq(basis(s[:, 0]), points, rcond=None)[0]
+    return Skill(TrajectoryDistribution(basis, W, spread**2 * np.eye(30)), duration, **more)
+
+
+@pytest.fixture(scope="module")
+def planned(arm, table):
+    return plan(skill_to(arm, GOAL), arm, table, seed=1, samples=6)
+
+
+def test_the_hand_comes_to_the_goal_between_the_objects(planned, arm):
+    assert planned.feasible
+    assert np.linalg.norm(planned.tip[-1] - GOAL) < 0.02
+    np.testing.assert_allclose(arm.fk(planned.joints)[:, :3, 3], planned.tip)
+    assert planned.position_error.max() < 2e-3
+
+
+def test_the_plan_starts_where_the_arm_is(planned, arm):
+    np.testing.assert_allclose(planned.joints[0], arm.home, atol=1e-3)
+    assert planned.times[0] == 0 and planned.names == arm.joint_names
+
+
+def test_the_plan_is_clear_at_every_sample_and_between_them(planned, arm, table):
+    model = CollisionModel(arm, table)
+    np.testing.assert_allclose(np.minimum(planned.clearance, planned.self_clearance), model.clearance(planned.joints))
+    assert model.sweep(planned.joints, required=0.008).clearance.min() > 0.007
+
+
+def test_the_plan_keeps_velocity_acceleration_and_position_limits(planned, arm):
+    motion, t = motion_spline(planned.times, planned.joints), np.linspace(0, planned.times[-1], 2000)
+    assert (np.abs(motion(t, 1)) <= arm.velocity * 1.001).all()
+    assert (np.abs(motion(t, 2)) <= arm.acceleration * 1.001).all()
+    assert arm.within_limits(planned.joints).all()
+    np.testing.assert_allclose(motion([0, planned.times[-1]], 1), 0, atol=1e-9)
+
+
+def test_the_plan_takes_at_least_as_long_as_what_was_shown(planned):
+    assert planned.times[-1] >= 4.0 - 1e-9
+
+
+def test_the_same_seed_gives_the_same_plan(arm, table, planned):
+    again = plan(skill_to(arm, GOAL), arm, table, seed=1, samples=6)
+    np.testing.assert_array_equal(again.joints, planned.joints)
+    assert again.refusals == planned.refusals
+
+
+def test_a_mean_that_runs_into_something_gives_way_to_a_sample(arm, free):
+    skill = skill_to(arm, np.array([0.6, 0.2, 0.3]), spread=0.06)
+    shape = free.client.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.03)
+    free.bodies["ball"] = free.client.createMultiBody(0, shape, -1, skill.distribution.mean_at([0.6])[0])
+    chosen = plan(skill, arm, free, seed=0, samples=20)
+    assert chosen.feasible and chosen.chosen > 0
+    assert chosen.refusals[0].startswith("the mean: at t = 0.") and "into ball" in chosen.refusals[0]
+
+
+def test_where_nothing_is_feasible_each_refusal_names_place_and_bodies(arm, table):
+    chosen = plan(skill_to(arm, np.array([0.75, 0.3, 0.4]), spread=0.002), arm, table, samples=4)
+    assert not chosen.feasible and len(chosen.refusals) == chosen.samples == 4
+    assert all("t = " in refusal and "Object3" in refusal for refusal in chosen.refusals)
+    assert "none of 4" in chosen.sentence and len(chosen.joints) == len(chosen.times)
+
+
+def test_a_goal_out_of_reach_is_refused(arm):
+    chosen = plan(skill_to(arm, np.array([1.6, 0.1, 0.6]), spread=0.01), arm, None, samples=3)
+    assert not chosen.feasible and all("reach" in refusal for refusal in chosen.refusals)
+
+
+def test_a_start_in_collision_or_out_of_limits_is_refused(arm, table):
+    skill = skill_to(arm, GOAL)
+    inside = arm.ik(pose_at(arm, [0.75, 0.1, 0.22]))
+    with pytest.raises(ValueError, match="inside top|from top"):
+        plan(skill, arm, table, start=inside, samples=2)
+    with pytest.raises(ValueError, match="limits of panda_joint1"):
+        plan(skill, arm, table, start=arm.home + [4, 0, 0, 0, 0, 0, 0], samples=2)
+    with pytest.raises(ValueError, match="7 finite joint values"):
+        plan(skill, arm, table, start=[0, 0], samples=2)
+
+
+def pose_at(arm, position):
+    pose = arm.fk(arm.home)
+    pose[:3, 3] = position
+    return pose
+
+
+def test_a_motion_through_the_robots_own_base_is_refused(arm):
+    assert not plan(skill_to(arm, np.array([0.02, 0.0, 0.1]), lift=0, spread=0.001), arm, None, samples=2).feasible
+
+
+def test_a_taught_orientation_is_kept(arm):
+    level = Rotation.from_matrix(arm.fk(arm.home)[:3, :3])
+    turned = (level * Rotation.from_euler("z", 40, degrees=True)).as_quat()
+    chosen = plan(
+        skill_to(arm, np.array([0.5, 0.2, 0.4]), spread=0.005, orientation=np.array([[0.5, *turned], [1.0, *turned]])),
+        arm,
+        None,
+        samples=2,
+    )
+    assert chosen.feasible
+    assert (
+        Rotation.from_matrix(arm.fk(chosen.joints[-1])[:3, :3]) * Rotation.from_quat(turned).inv()
+    ).magnitude() < 0.01
+
+
+def test_a_plan_survives_its_file(planned, tmp_path):
+    planned.save(tmp_path / "plan.npz")
+    loaded = Plan.load(tmp_path / "plan.npz")
+    np.testing.assert_array_equal(loaded.joints, planned.joints)
+    assert (loaded.names, loaded.refusals, loaded.feasible, loaded.sentence) == (
+        planned.names,
+        planned.refusals,
+        planned.feasible,
+        planned.sentence,
+    )
+    assert [f.name for f in tmp_path.iterdir()] == ["plan.npz"]
+
+
+def test_what_is_no_plan_file_is_refused(tmp_path):
+    with pytest.raises(FileNotFoundError):
+        Plan.load(tmp_path / "plan.npz")
+    (tmp_path / "plan.npz").write_bytes(b"nonsense")
+    with pytest.raises(ValueError, match="not a plan file"):
+        Plan.load(tmp_path / "plan.npz")
+
+
+def test_the_joint_trajectory_has_ros_layout_and_begins_at_the_present_state(planned, arm):
+    message = json.loads(json.dumps(planned.joint_trajectory()))
+    assert message["joint_names"] == list(arm.joint_names)
+    first, last = message["points"][0], message["points"][-1]
+    np.testing.assert_allclose(first["positions"], arm.home, atol=1e-3)
+    np.testing.assert_allclose([*first["velocities"], *last["velocities"]], 0, atol=1e-9)
+    assert first["time_from_start"] == {"sec": 0, "nanosec": 0}
+    seconds = [p["time_from_start"]["sec"] + 1e-9 * p["time_from_start"]["nanosec"] for p in message["points"]]
+    np.testing.assert_allclose(seconds, planned.times, atol=1e-8)
+
+
+def test_time_optimal_motion_of_one_joint_is_bang_bang():
+    path = np.linspace(0, 1, 50)[:, None]
+    times, joints, waypoints = time_path(path, np.array([100.0]), np.array([4.0]), rate=200, share=0.95)
+    assert 1.0 <= times[-1] < 1.1  # 2 sqrt(distance / acceleration) at the full limit
+    np.testing.assert_allclose(joints[:, 0] * 49, waypoints, atol=0.05)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_fastest_motion_keeps_the_limits_everywhere_and_uses_them(arm, seed):
+    path = np.linspace(0, 1, 60)[:, None] * (arm.random(1, seed) - arm.home) + arm.home
+    path += 0.2 * np.sin(np.linspace(0, 2 * np.pi, 60))[:, None] * np.random.default_rng(seed).normal(size=7)
+    times, joints, _ = time_path(path, arm.velocity, arm.acceleration)
+    motion, t = motion_spline(times, joints), np.linspace(0, times[-1], 5000)
+    speed, push = np.abs(motion(t, 1)) / arm.velocity, np.abs(motion(t, 2)) / arm.acceleration
+    assert speed.max() <= 1.001 and push.max() <= 1.001
+    assert max(speed.max(), push.max()) > 0.7
+
+
+def test_a_motion_that_goes_nowhere_is_held_for_its_duration():
+    times, joints, _ = time_path(np.zeros((10, 3)), np.ones(3), np.ones(3), duration=2.0)
+    assert times[-1] == pytest.approx(2.0) and (joints == 0).all()
+
+
+def test_repeated_waypoints_are_no_obstacle_to_timing():
+    path = np.repeat(np.linspace([0, 0], [1, 0.5], 20), 3, axis=0)
+    times, joints, waypoints = time_path(path, np.ones(2), np.ones(2))
+    assert np.isfinite(joints).all() and (np.diff(waypoints) >= 0).all()
+    np.testing.assert_allclose(joints[[0, -1]], path[[0, -1]], atol=1e-9)

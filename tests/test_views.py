@@ -1,0 +1,66 @@
+"""Which cameras look at the scene, and their pictures on disk."""
+
+import numpy as np
+import pytest
+
+from scene import views
+from scene.camera import Camera, orbit
+
+TARGET = np.array([0.4, -0.2, 0.3])
+
+
+def around(poses, width=640, height=480):
+    return [Camera.from_fov(pose, width, height, 55) for pose in poses]
+
+
+class Painter:
+    """Stands for a field: paints the camera's height, and counts its pictures."""
+
+    def __init__(self):
+        self.pictures = 0
+
+    def render(self, camera):
+        self.pictures += 1
+        return np.full((camera.height, camera.width, 3), 7, np.uint8), np.full((camera.height, camera.width), 2.5, np.float32)
+
+
+def test_the_focus_of_cameras_that_look_at_a_point_is_that_point():
+    assert views.focus(around(orbit(TARGET, 1.5, 30, 9))) == pytest.approx(TARGET)
+
+
+def test_an_orbit_keeps_the_photographs_distance_and_elevation_and_looks_at_their_focus():
+    path = views.orbit_path(around(orbit(TARGET, 1.5, 30, 12)), frames=7)
+    offsets = np.stack([camera.centre for camera in path]) - TARGET
+    assert np.linalg.norm(offsets, axis=1) == pytest.approx(1.5)
+    assert offsets[:, 2] == pytest.approx(0.75)
+    assert np.stack([camera.project(TARGET) for camera in path]) == pytest.approx(np.tile([320, 240], (7, 1)))
+
+
+def test_an_orbit_does_not_cross_what_nobody_photographed():
+    path = views.orbit_path(around(orbit(TARGET, 1.5, 30, 12, start_deg=100, sweep_deg=120)), frames=20)
+    azimuth = np.degrees(np.arctan2(*(np.stack([c.centre for c in path]) - TARGET)[:, 1::-1].T)) % 360
+    assert azimuth.min() == pytest.approx(100) and azimuth.max() == pytest.approx(220)
+
+
+def test_two_views_to_sketch_on_are_as_far_apart_as_asked_and_the_third_far_from_both():
+    chosen = views.well_separated(around(orbit(TARGET, 1.5, 0, 24)), angle_deg=75)
+    directions = [(camera.centre - TARGET) / 1.5 for camera in chosen]
+    angle = lambda a, b: np.degrees(np.arccos(directions[a] @ directions[b]))
+    assert angle(0, 1) == pytest.approx(75)
+    assert min(angle(0, 2), angle(1, 2)) > 120
+
+
+def test_a_view_of_another_shape_is_cropped_and_never_stretched():
+    camera, *_ = views.well_separated(around(orbit(TARGET, 1.5, 30, 12), 800, 400), width=640, height=480)
+    assert camera.K[0, 0] == camera.K[1, 1]
+    assert (camera.width, camera.height) == (640, 480)
+
+
+def test_rendering_writes_picture_and_depth_and_goes_on_where_it_stopped(tmp_path):
+    cameras = dict(zip("abc", around(orbit(TARGET, 1, 20, 3), 32, 24)))
+    first, second = Painter(), Painter()
+    views.render(first, {"a": cameras["a"]}, tmp_path)
+    rendered = views.render(second, cameras, tmp_path)
+    assert (first.pictures, second.pictures) == (1, 2)
+    assert [view.name for view in rendered] == list("abc") and (rendered[0].image == 7).all()
+    assert np.load(tmp_path / "b_depth.npy") == pytest.approx(2.5)
