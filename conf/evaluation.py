@@ -31,13 +31,15 @@ def field_errors(field, held_out, folder: Path, world_spec: dict | None) -> dict
     The rendered pictures are kept in ``folder`` for the report.
     """
     from scene.dataset import save_image
-    from scene.fit import psnr
+    from scene.volume import psnr
 
+    folder.mkdir(exist_ok=True)
     started = time.perf_counter()
     rendered = [field.render(view.camera) for view in held_out]
     seconds = (time.perf_counter() - started) / max(len(held_out), 1)
-    for view, (image, _) in zip(held_out, rendered, strict=True):
+    for view, (image, depth) in zip(held_out, rendered, strict=True):
         save_image(folder / f"{view.name}.png", image)
+        np.save(folder / f"{view.name}_depth.npy", depth)
     errors = {
         "psnr": float(np.mean([psnr(image, view.image) for view, (image, _) in zip(held_out, rendered, strict=True)])),
         "render_seconds": seconds,

@@ -82,9 +82,9 @@ def train(job: Job, out: Path) -> dict:
     field = _setting(job, "scene.fit")(
         training, points=points, colours=colours, seed=job.cfg.scene.seed, checkpoint=out / "checkpoint.npz"
     )
-    seconds = time.perf_counter() - started
+    metrics = {"seconds": time.perf_counter() - started}
     field.save(out / "field.pt")
-    metrics = {"seconds": seconds} | field_errors(field, held_out, out / "held_out", job.settings("world") if _truth(job) else None)
+    metrics |= field_errors(field, held_out, out / "held_out", job.settings("world") if _truth(job) else None)
     log.info("  held-out views: %(psnr).1f dB; a view renders in %(render_seconds).2f s", metrics)
     return metrics
 
@@ -97,7 +97,8 @@ def split(views) -> tuple[list, list]:
 
 def render(job: Job, out: Path) -> dict:
     """Views to sketch on, and an orbit to look around."""
-    from scene.dataset import load_views, save_views
+    from robot.execution import save_video
+    from scene.dataset import load_frame, load_views, save_views
     from scene.field import Field
     from scene.views import render
 
@@ -105,9 +106,10 @@ def render(job: Job, out: Path) -> dict:
     photographed = [view.camera for view in load_views(job.capture)]
     chosen = _setting(job, "scene.views")(photographed, None if job.cfg.photos else job.settings("world.sketch_views"))
     views = render(field, chosen.sketch, out / "views", partial(_progress, title="views"))
-    save_views(out / "views", views, images=".", frame=_frame(job))
+    save_views(out / "views", views, images=".", frame=load_frame(job.capture))
     frames = render(field, chosen.orbit, out / "views" / "orbit", partial(_progress, title="orbit"))
-    _save_orbit(frames, out / "views" / "orbit.mp4")
+    if frames:
+        save_video(out / "views" / "orbit.mp4", [frame.image for frame in frames], fps=8)
     return {"views": len(views), "orbit": len(frames)}
 
 
@@ -292,12 +294,6 @@ def _truth(job: Job) -> dict | None:
     """What only the scripted user and evaluation may know: there is none of real photographs."""
     path = job.capture / "truth.json"
     return None if job.cfg.photos or not path.exists() else json.loads(path.read_text())
-
-
-def _frame(job: Job) -> dict:
-    from scene.dataset import load_frame
-
-    return load_frame(job.capture)
 
 
 def _fingerprint(job: Job) -> dict[str, str]:

@@ -167,7 +167,7 @@ def goal_point(world) -> np.ndarray:
 def film_camera(spec: dict, width: int, height: int) -> Camera:
     """The camera at the world's ``film``: {eye, target, fov_deg}; else aside of and above what its photographs look at."""
     target = np.array(spec["view"]["target"], dtype=float)
-    film = spec.get("film") or {"eye": target + [-0.9, -1.9, 1.0], "target": target - [0.25, 0, 0], "fov_deg": 45}
+    film = spec.get("film") or {"eye": target + [0.55, -1.6, 1.15], "target": target - [0.3, 0, 0], "fov_deg": 50}
     return Camera.from_fov(look_at(film["eye"], film["target"]), width, height, film["fov_deg"])
 
 

@@ -34,7 +34,7 @@ def wood(rng, height, width, scale, colour):
     wobble = noise(rng, height, width, scale, (0.12, 0.05, 0.02), stretch=9)
     rings = np.sin(v * 420 + shift * 40 + 5 * wobble)
     fibres = noise(rng, height, width, scale, (0.012, 0.005), stretch=14)
-    shade = tint * (1 + 0.12 * rings + 0.10 * fibres + 0.07 * noise(rng, height, width, scale, (0.4, 0.1)))
+    shade = tint * (1 + 0.07 * rings + 0.06 * fibres + 0.06 * noise(rng, height, width, scale, (0.4, 0.1)))
     for _ in range(int(12 * height * width / scale**2) + 2):
         x, y, r = rng.uniform(0, width / scale), rng.uniform(0, height / scale), rng.uniform(0.006, 0.016)
         distance = np.hypot((u - x) / 1.7, v - y) / r
@@ -84,7 +84,7 @@ def label(rng, height, width, scale, colour):
 def concrete(rng, height, width, scale, colour):
     """Tiles of cast concrete with stains, pores and worn paint lines."""
     v, u = np.mgrid[:height, :width].astype(np.float32) / scale
-    shade = 1 + 0.16 * noise(rng, height, width, scale, (1.2, 0.4, 0.12)) + 0.10 * noise(rng, height, width, scale, (0.04, 0.015))
+    shade = 1 + 0.08 * noise(rng, height, width, scale, (1.2, 0.4, 0.12)) + 0.04 * noise(rng, height, width, scale, (0.04, 0.015))
     tile = rng.uniform(0.88, 1.08, (64, 64))[(v / 0.6).astype(int) % 64, (u / 0.6).astype(int) % 64]
     joint = (np.abs((v / 0.6) % 1 - 0.5) > 0.49) | (np.abs((u / 0.6) % 1 - 0.5) > 0.49)
     picture = canvas(np.where(joint, 0.5, shade * tile)[..., None] * colour)

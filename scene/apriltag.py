@@ -25,9 +25,9 @@ from scene.dataset import replacing
 
 FAMILY, FAMILY_SIZE = "36h11", 587
 OFFICIAL_FROM_OPENCV = [1, 0, 3, 2]
-"""OpenCV goes clockwise from the top left corner of its own pictures, which are the official ones turned by 180 degrees."""
+"""OpenCV goes clockwise from the top left corner of its own pictures, the official ones turned by 180 degrees."""
 FROM_OPENCV_PX = 0.08
-"""OpenCV's AprilTag refinement counts from the corner of a pixel, as we do, but for this (measured; the test holds it to 0.03 px)."""
+"""OpenCV's AprilTag refinement counts from the corner of a pixel, as we do, but for this (measured)."""
 INLIER_PX = 2.0
 """A detected corner further than this from where all views together put it is an outlier."""
 
@@ -49,7 +49,7 @@ class TagLayout:
             if not 0 <= number < FAMILY_SIZE:
                 raise ValueError(f"tag {number} is not in {FAMILY}: numbers go from 0 to {FAMILY_SIZE - 1}")
             if pose.shape != (4, 4) or not _is_rigid(pose):
-                raise ValueError(f"tag {number}: base_from_tag must be a rigid transform (4, 4) with an orthonormal rotation")
+                raise ValueError(f"tag {number}: base_from_tag must be a rigid transform (4, 4)")
         _refuse_overlap(self.size, poses)
         object.__setattr__(self, "base_from_tag", poses)
 
@@ -73,7 +73,8 @@ class TagLayout:
             content = json.loads(path.read_text(encoding="utf-8"))
             if content["family"] != FAMILY:
                 raise ValueError(f"family must be {FAMILY}, not {content['family']}")
-            return cls(float(content["size"]), {int(n): np.array(tag["base_from_tag"], float) for n, tag in content["tags"].items()})
+            poses = {int(n): np.array(tag["base_from_tag"], dtype=float) for n, tag in content["tags"].items()}
+            return cls(float(content["size"]), poses)
         except KeyError as error:
             raise ValueError(f"{path}: missing {error.args[0]}") from error
         except (TypeError, AttributeError, ValueError) as error:
@@ -82,13 +83,15 @@ class TagLayout:
     def save(self, path: str | Path):
         """Write tags.json, whole or not at all."""
         tags = {str(number): {"base_from_tag": pose.tolist()} for number, pose in self.base_from_tag.items()}
+        content = {"family": FAMILY, "size": float(self.size), "tags": tags}
         with replacing(path) as temporary:
-            temporary.write_text(json.dumps({"family": FAMILY, "size": float(self.size), "tags": tags}, indent=1), encoding="utf-8")
+            temporary.write_text(json.dumps(content, indent=1), encoding="utf-8")
 
 
 def _is_rigid(pose: np.ndarray) -> bool:
     R = pose[:3, :3]
-    return bool(np.allclose(R.T @ R, np.eye(3), atol=1e-4) and np.linalg.det(R) > 0 and np.allclose(pose[3], [0, 0, 0, 1]))
+    orthonormal = np.allclose(R.T @ R, np.eye(3), atol=1e-4) and np.linalg.det(R) > 0
+    return bool(orthonormal and np.allclose(pose[3], [0, 0, 0, 1]))
 
 
 def _refuse_overlap(size: float, poses: Mapping[int, np.ndarray]):
@@ -102,8 +105,8 @@ def _refuse_overlap(size: float, poses: Mapping[int, np.ndarray]):
 class Similarity:
     """x_to = scale rotation x_from + translation, and what is known of the frame it leads to.
 
-    frame: "robot base" [m] or "arbitrary". residual_mm: rms distance of the tags' corners to their places, tag_residuals_mm the
-    same for each tag seen twice (those beside ``tags`` were not used); nan and empty for an arbitrary frame. tags: those it rests on.
+    frame: "robot base" [m] or "arbitrary". residual_mm: rms distance of the tags' corners to their places;
+    tag_residuals_mm: the same for each tag seen twice; nan and empty for an arbitrary frame. tags: those it rests on.
     """
 
     scale: float
@@ -141,7 +144,7 @@ class Similarity:
 
 
 def detect(image: np.ndarray) -> dict[int, np.ndarray]:
-    """Tags in a picture (H, W, 3) or (H, W) uint8: {number: corners (4, 2) px}, in the official order and our pixel convention."""
+    """Tags in a picture (H, W, 3) or (H, W) uint8: {number: corners (4, 2) px}, in the official order."""
     import cv2
 
     parameters = cv2.aruco.DetectorParameters()
@@ -155,13 +158,16 @@ def detect(image: np.ndarray) -> dict[int, np.ndarray]:
     return {int(n): c[OFFICIAL_FROM_OPENCV] for n, c in zip(np.ravel(numbers), found, strict=True)}
 
 
-def triangulate(pixels: np.ndarray, cameras: Sequence[Camera], threshold: float = INLIER_PX) -> tuple[np.ndarray, np.ndarray]:
+def triangulate(
+    pixels: np.ndarray, cameras: Sequence[Camera], threshold: float = INLIER_PX
+) -> tuple[np.ndarray, np.ndarray]:
     """One point from its pixels (V, 2) in V cameras, some of which may be wrong.
 
-    Every pair of views proposes a point; the one that agrees with most views within ``threshold`` [px] is refined by them.
+    Every pair of views proposes a point; the one most views agree with, within ``threshold`` [px], is refined by them.
     Returns the point (3,) and which views agree (V,) bool; fewer than two, and a point of nan, if no two do.
     """
-    P, pixels = np.array([camera.projection for camera in cameras]).reshape(-1, 3, 4), np.asarray(pixels, dtype=float).reshape(-1, 2)
+    P = np.array([camera.projection for camera in cameras]).reshape(-1, 3, 4)
+    pixels = np.asarray(pixels, dtype=float).reshape(-1, 2)
     a, b = np.triu_indices(len(P), k=1)
     rows = pixels[..., None] * P[:, 2:] - P[:, :2]  # (V, 2, 4): u P3 - P1 and v P3 - P2 annihilate the point
     points = np.linalg.svd(np.concatenate([rows[a], rows[b]], axis=1))[2][:, -1]
@@ -176,7 +182,8 @@ def triangulate(pixels: np.ndarray, cameras: Sequence[Camera], threshold: float 
 
 def _reprojection(P: np.ndarray, points: np.ndarray, pixels: np.ndarray) -> np.ndarray:
     """Distance [px] between pixels (V, 2) and points (..., V or 1, 3) seen through P (V, 3, 4); nan behind a camera."""
-    seen = np.einsum("vij,...vj->...vi", P[:, :, :3], np.broadcast_to(points, (*points.shape[:-2], len(P), 3))) + P[:, :, 3]
+    points = np.broadcast_to(points, (*points.shape[:-2], len(P), 3))
+    seen = np.einsum("vij,...vj->...vi", P[:, :, :3], points) + P[:, :, 3]
     depth = np.where(seen[..., 2] > 1e-9, seen[..., 2], np.nan)
     return np.linalg.norm(seen[..., :2] / depth[..., None] - pixels, axis=-1)
 
@@ -199,7 +206,7 @@ def align(model: Model, layout: TagLayout) -> Similarity:
     """The similarity from the model's frame to the robot's base, from the layout's tags in the model's pictures.
 
     Each corner is triangulated over all views; tags that agree on one similarity are chosen, and it is refined on the
-    reprojection of their corners in all pictures. Raises ReconstructionFailed, saying what was seen, if nothing can be said.
+    reprojection of their corners in all pictures. Raises ReconstructionFailed, saying what was seen.
     """
     seen = [detect(view.image) for view in model.views()]
     return fit_frame(seen, model.cameras, layout)
@@ -215,11 +222,11 @@ def fit_frame(seen: Sequence[Mapping[int, np.ndarray]], cameras: Sequence[Camera
         counts = {n: sum(n in found for found in seen) for n in sorted(set().union(*seen))}
         there = ", ".join(f"tag {n} in {count}" for n, count in counts.items()) or "no tag in any"
         raise ReconstructionFailed(
-            f"no tag of the layout ({', '.join(map(str, layout.ids))}) was found by two of the {len(cameras)} pictures: seen {there}; "
-            "check the numbers in tags.json and photograph the tags larger, from more sides"
+            f"no tag of the layout ({', '.join(map(str, layout.ids))}) was found by two of {len(cameras)} pictures: "
+            f"seen {there}; check the numbers in tags.json and photograph the tags larger, from more sides"
         )
     similarity = _agreed(triangulated, corners, layout.size)
-    used = tuple(n for n in triangulated if _tag_residual(similarity, triangulated[n], corners[n]) < _tolerance(layout.size))
+    used = _agreeing(similarity, triangulated, corners, layout.size)
     similarity = _refine(similarity, {n: observations[n] for n in used}, corners, cameras)
     residuals = {n: 1000 * _tag_residual(similarity, triangulated[n], corners[n]) for n in sorted(triangulated)}
     total = float(np.sqrt(np.mean([residuals[n] ** 2 for n in used])))
@@ -260,8 +267,13 @@ def _tag_residual(similarity: Similarity, points: np.ndarray, places: np.ndarray
     return float(np.sqrt(np.nanmean(((similarity.apply(points) - places) ** 2).sum(axis=1))))
 
 
+def _agreeing(similarity, triangulated, corners, size) -> tuple[int, ...]:
+    """The tags that lie where the layout says, within the tolerance."""
+    return tuple(n for n in triangulated if _tag_residual(similarity, triangulated[n], corners[n]) < _tolerance(size))
+
+
 def _agreed(triangulated, corners, size) -> Similarity:
-    """The similarity that most tags agree on: every tag and every pair of tags proposes one, then all that agree are fitted."""
+    """The similarity that most tags agree on: every tag and pair of tags proposes one; all that agree are fitted."""
     numbers = list(triangulated)
     proposals = [[a] for a in numbers] + [[a, b] for i, a in enumerate(numbers) for b in numbers[:i]]
     candidates = [umeyama(*_stacked(triangulated, corners, chosen)) for chosen in proposals]
@@ -270,11 +282,12 @@ def _agreed(triangulated, corners, size) -> Similarity:
         return np.array([_tag_residual(similarity, triangulated[n], corners[n]) for n in numbers])
 
     costs = [np.minimum(residuals(candidate), _tolerance(size)).sum() for candidate in candidates]
-    agreeing = [n for n, residual in zip(numbers, residuals(candidates[int(np.argmin(costs))])) if residual < _tolerance(size)]
+    agreeing = _agreeing(candidates[int(np.argmin(costs))], triangulated, corners, size)
     if 2 * len(agreeing) <= len(numbers) and len(numbers) > 1:
         raise ReconstructionFailed(
-            f"the tags do not lie as the layout says: of {len(numbers)} tags ({', '.join(map(str, numbers))}) no more than {len(agreeing)} agree "
-            f"within {1000 * _tolerance(size):.0f} mm; measure their places and their size ({size} m, black square) again"
+            f"the tags do not lie as the layout says: of {len(numbers)} tags ({', '.join(map(str, numbers))}) only "
+            f"{len(agreeing)} agree within {1000 * _tolerance(size):.0f} mm; measure their places and their size "
+            f"({size} m, black square) again"
         )
     return umeyama(*_stacked(triangulated, corners, agreeing))
 
@@ -304,7 +317,7 @@ def _refine(similarity: Similarity, observations, corners, cameras) -> Similarit
     from scipy.optimize import least_squares
     from scipy.spatial.transform import Rotation
 
-    found = [(corners[n][k], corner) for n in observations for k, corner in enumerate(observations[n]) if len(corner.views) >= 2]
+    found = [pair for n in observations for pair in zip(corners[n], observations[n]) if len(pair[1].views)]
     places = np.concatenate([np.broadcast_to(place, (len(corner.views), 3)) for place, corner in found])
     pixels = np.concatenate([corner.pixels for _, corner in found])
     P = np.array([camera.projection for camera in cameras])[np.concatenate([corner.views for _, corner in found])]
@@ -324,14 +337,15 @@ def _refine(similarity: Similarity, observations, corners, cameras) -> Similarit
     turn, shift = moved(least_squares(errors, np.zeros(7), loss="soft_l1", f_scale=0.5, x_scale="jac").x)
     growth = np.cbrt(np.linalg.det(turn))
     translation = turn @ (similarity.translation - middle) + middle + shift
-    return replace(similarity, scale=similarity.scale * growth, rotation=turn / growth @ similarity.rotation, translation=translation)
+    rotation = turn / growth @ similarity.rotation
+    return replace(similarity, scale=float(similarity.scale * growth), rotation=rotation, translation=translation)
 
 
 def gravity_frame(cameras: Sequence[Camera], points: np.ndarray) -> Similarity:
     """A frame for a scene without tags: z up, origin at the middle of the scene, the median camera at distance 1.
 
-    Up is where upright cameras have it (their x axes are level), corrected to the normal of the plane most of the points
-    lie on if that is within 20 degrees. x points right in the first photograph. The scale is arbitrary, and the frame says so.
+    Up is where upright cameras have it (their x axes are level), corrected to the normal of the plane most of the
+    points lie on if that is within 20 degrees. x points right in the first photograph. The scale is arbitrary.
     """
     points = np.asarray(points, dtype=float).reshape(-1, 3)
     poses = np.array([camera.world_from_camera for camera in cameras])
@@ -347,7 +361,7 @@ def gravity_frame(cameras: Sequence[Camera], points: np.ndarray) -> Similarity:
 
 
 def _up_of_cameras(poses: np.ndarray) -> np.ndarray:
-    """The direction most perpendicular to all x axes, on the side of -y; the mean of -y where cameras stand side by side."""
+    """The direction most perpendicular to all x axes, on the side of -y; the mean -y if cameras stand in a row."""
     mean = -poses[:, :3, 1].mean(axis=0)
     _, spread, axes = np.linalg.svd(poses[:, :3, 0])
     level = axes[-1] * np.sign(axes[-1] @ mean)
@@ -356,7 +370,7 @@ def _up_of_cameras(poses: np.ndarray) -> np.ndarray:
 
 
 def _up_of_plane(points: np.ndarray, up: np.ndarray, trials: int = 500) -> np.ndarray:
-    """The normal of the plane with most points, if it is within 20 degrees of ``up`` and holds a third of them; else ``up``."""
+    """The normal of the plane with most points, if near ``up`` and through a third of them; else ``up``."""
     if len(points) < 30:
         return up
     rng = np.random.default_rng(0)

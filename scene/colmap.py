@@ -1,9 +1,9 @@
 """Photographs -> cameras and points, by COLMAP's incremental structure from motion.
 
-pycolmap runs in a process of its own: importing it spoils zlib for whoever imports it first, it holds the interpreter for
-seconds, and only a process can be killed. What passes between the two is one JSON line in and files out:
+pycolmap runs in a process of its own: importing it first spoils zlib, it holds the interpreter for seconds, and only
+a process can be killed. What passes between the two is one JSON line in and files out:
 
-    <work>/images/<name>         the photographs undistorted, at most ``max_size`` px long: what the cameras of Model see
+    <work>/images/<name>         the photographs undistorted, at most ``max_size`` px long, as the cameras of Model see
            colmap/sparse/0/      the model with the lens as it was estimated, for COLMAP
            colmap/model.npz      the Model
 
@@ -116,14 +116,14 @@ def reconstruct(
 
     camera_model: COLMAP's name of the lens model. single_camera: all photographs were taken with one lens and zoom.
     features: at most so many in a photograph. feature_size: longest side [px] at which they are sought.
-    max_size: longest side [px] of the undistorted pictures. threads: with 1 the same seed gives the same model, bit by bit;
-    more are faster. Raises ReconstructionFailed when fewer than three or fewer than half of the photographs join.
+    max_size: longest side [px] of the undistorted pictures. threads: with 1 the same seed gives the same model, bit by
+    bit; more are faster. Raises ReconstructionFailed when fewer than three or fewer than half of the photographs join.
     """
     photographs, work = [Path(p).absolute() for p in photographs], Path(work)
     if len({p.stem for p in photographs}) < len(photographs):
         raise ValueError("photographs must have different names")
     if any(p.parent == (work / "images").absolute() for p in photographs):
-        raise ValueError(f"the photographs lie in {work / 'images'}, where undistorted ones are written; move them or choose another folder")
+        raise ValueError(f"the photographs lie in {work / 'images'}, where undistorted ones are written; move them")
     unfinished = work / ".colmap.part"
     shutil.rmtree(unfinished, ignore_errors=True)
     (unfinished / "photographs").mkdir(parents=True)
@@ -131,8 +131,9 @@ def reconstruct(
         for path in photographs:
             _lay_out(path, unfinished / "photographs" / path.name)
         settings = {
-            "folder": str(unfinished.absolute()), "names": sorted(p.name for p in photographs), "seed": seed, "camera_model": camera_model,
-            "single_camera": single_camera, "features": features, "feature_size": feature_size, "max_size": max_size, "threads": threads,
+            "folder": str(unfinished.absolute()), "names": sorted(p.name for p in photographs), "seed": seed,
+            "camera_model": camera_model, "single_camera": single_camera, "features": features,
+            "feature_size": feature_size, "max_size": max_size, "threads": threads,
         }  # fmt: skip
         answer = _run_worker(settings, unfinished / "log.txt", progress)
         if "failure" in answer:
@@ -146,7 +147,7 @@ def reconstruct(
 
 
 def _lay_out(source: Path, target: Path):
-    """One folder with all photographs, as COLMAP wants it; those that EXIF turns are written upright, with their focal length."""
+    """Put a photograph where COLMAP looks; one that EXIF turns is written upright, with the rest of its EXIF."""
     if not is_rotated(source):
         target.symlink_to(source)
         return
@@ -166,7 +167,7 @@ def _run_worker(settings: dict, log: Path, progress: bool) -> dict:
         worker.stdin.write(json.dumps(settings) + "\n")
         worker.stdin.flush()  # and stays open: its end tells the worker that nobody waits any more
         answer = {}
-        with tqdm(total=len(settings["names"]), desc="features", unit="photo", disable=not progress, leave=False) as bar:
+        with tqdm(total=len(settings["names"]), unit="photo", disable=not progress, leave=False) as bar:
             for line in worker.stdout:
                 answer = json.loads(line)
                 _show(bar, answer)
@@ -212,7 +213,7 @@ def _work():
 
 
 def _die_with_parent():
-    """End as soon as the other end of stdin is gone; on Linux by the kernel, as pycolmap holds the interpreter for long."""
+    """End when the other end of stdin is gone; on Linux by the kernel, as pycolmap holds the interpreter for long."""
     threading.Thread(target=lambda: (sys.stdin.read(), os._exit(1)), daemon=True).start()
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG
@@ -235,7 +236,7 @@ def _solve(folder, names, seed, threads, max_size, say, **settings):
         best = max(best, run.map(RELAXED), key=_registered)
     if not _enough(best, names):
         raise ReconstructionFailed(_advice(len(names), _registered(best), found))
-    straight = _adjust(pycolmap, best, max_size, threads)
+    straight = _adjust(pycolmap, best, max_size)
     (folder / "colmap" / "sparse" / "0").mkdir(parents=True)
     best.write(folder / "colmap" / "sparse" / "0")
     _write_results(best, folder, names, max_size, straight, say)
@@ -324,12 +325,13 @@ class _Run:
             self.database, matching_options=options, verification_options=verification, device=self.pycolmap.Device.cpu
         )
         with self.pycolmap.Database.open(self.database) as content:
-            return {"pairs": content.num_verified_image_pairs(), "features": content.num_keypoints() / content.num_images()}
+            features = content.num_keypoints() / content.num_images()
+            return {"pairs": content.num_verified_image_pairs(), "features": features}
 
     def map(self, limits):
         """The largest model, or None."""
         options = self.pycolmap.IncrementalPipelineOptions()
-        options.num_threads = self.threads
+        options.num_threads = 1  # sums in bundle adjustment depend on the order of its threads
         options.random_seed = self.seed
         options.min_model_size = FEWEST_PHOTOGRAPHS
         options.mapper.init_min_num_inliers = limits["init_inliers"]
@@ -339,45 +341,46 @@ class _Run:
         self.say(stage="cameras", count=2)
         with tempfile.TemporaryDirectory(dir=self.folder) as output:
             models = self.pycolmap.incremental_mapping(
-                self.database, self.folder / "photographs", output, options, next_image_callback=lambda: self.say(count=next(count))
-            )
+                self.database, self.folder / "photographs", output, options,
+                next_image_callback=lambda: self.say(count=next(count)),
+            )  # fmt: skip
         return max(models.values(), key=lambda model: (model.num_reg_images(), model.num_points3D()), default=None)
 
 
 def _advice(total: int, registered: int, found: dict) -> str:
     pairs = total * (total - 1) // 2
     return (
-        f"only {registered} of {total} photographs could be joined ({found['pairs']} of {pairs} pairs show common points, "
-        f"{found['features']:.0f} features in a photograph). What helps: neighbouring photographs that overlap by 60-80 %, "
+        f"only {registered} of {total} photographs could be joined ({found['pairs']} of {pairs} pairs show common "
+        f"points, {found['features']:.0f} features in a photograph). What helps: neighbours that overlap by 60-80 %, "
         "in steps of at most 20 degrees around a still scene, sharp, with texture on or around the objects"
     )
 
 
-def _adjust(pycolmap, model, max_size, threads) -> bool:
+def _adjust(pycolmap, model, max_size) -> bool:
     """Final bundle adjustment; returns whether the lens is straight, in which case the model says so too."""
-    _bundle(pycolmap, model, threads, lens=True)
+    _bundle(pycolmap, model, lens=True)
     bends = max(_bend(camera, max_size) for camera in model.cameras.values())
     if bends > 20 * STRAIGHT:
         return False
     bent = {number: camera.params.copy() for number, camera in model.cameras.items()}
     error = model.compute_mean_reprojection_error()
     _straighten(model)
-    _bundle(pycolmap, model, threads, lens=False)
+    _bundle(pycolmap, model, lens=False)
     if bends < STRAIGHT or model.compute_mean_reprojection_error() < 1.01 * error:
         return True
     for number, params in bent.items():
         model.cameras[number].params = params
-    _bundle(pycolmap, model, threads, lens=True)
+    _bundle(pycolmap, model, lens=True)
     return False
 
 
-def _bundle(pycolmap, model, threads, lens: bool):
+def _bundle(pycolmap, model, lens: bool):
     """Bundle adjustment with a robust loss of 1 px, so that the odd wrong match does not bend the model."""
     options = pycolmap.BundleAdjustmentOptions()
     options.print_summary = False
     options.refine_extra_params = lens
     options.ceres.loss_function_type = pycolmap.LossFunctionType.CAUCHY
-    options.ceres.solver_options.num_threads = threads
+    options.ceres.solver_options.num_threads = 1
     options.ceres.solver_options.function_tolerance = 1e-6
     pycolmap.bundle_adjustment(model, options)
     model.update_point_3d_errors()
@@ -392,15 +395,15 @@ def _straighten(model):
 
 def _pinhole(camera) -> np.ndarray:
     """K (3, 3) of a COLMAP camera without its distortion."""
-    return np.array(
-        [[camera.focal_length_x, 0, camera.principal_point_x], [0, camera.focal_length_y, camera.principal_point_y], [0, 0, 1]]
-    )
+    rows = [camera.focal_length_x, 0, camera.principal_point_x], [0, camera.focal_length_y, camera.principal_point_y]
+    return np.array([*rows, [0, 0, 1]])
 
 
 def _bend(camera, max_size) -> float:
     """How far the lens moves a pixel at most [px of the undistorted picture]."""
-    pixels = Camera(np.eye(3), np.eye(4), camera.width, camera.height).pixel_centres()[:: camera.height // 40, :: camera.width // 40]
-    moved = _through_lens(camera, _pinhole(camera), pixels.reshape(-1, 2)) - pixels.reshape(-1, 2)
+    grid = np.meshgrid(np.linspace(0, camera.width, 41), np.linspace(0, camera.height, 41))
+    pixels = np.stack(grid, axis=-1).reshape(-1, 2)
+    moved = _through_lens(camera, _pinhole(camera), pixels) - pixels
     return float(np.linalg.norm(moved, axis=1).max()) * min(1, max_size / max(camera.width, camera.height))
 
 
@@ -414,8 +417,9 @@ def _widest_pinhole(camera) -> np.ndarray:
     """K (3, 3) of the widest pinhole of the same size all of whose pixels the photograph has seen."""
     K, width, height = _pinhole(camera), camera.width, camera.height
     u, v = np.linspace(0, width, 65), np.linspace(0, height, 65)
-    edges = [np.stack(np.broadcast_arrays(*e), axis=1) for e in ((u, 0.0), (u, float(height)), (0.0, v), (float(width), v))]
-    edge, low, high = np.concatenate(edges), 0.5, 2.0
+    sides = (u, 0.0), (u, float(height)), (0.0, v), (float(width), v)
+    edge = np.concatenate([np.stack(np.broadcast_arrays(*side), axis=1) for side in sides])
+    low, high = 0.5, 2.0
     for _ in range(40):
         zoom = (low + high) / 2
         seen = _through_lens(camera, K * [[zoom, 1, 1], [1, zoom, 1], [1, 1, 1]], edge)
@@ -427,7 +431,8 @@ def _widest_pinhole(camera) -> np.ndarray:
 def _write_results(model, folder, names, max_size, straight, say):
     """The undistorted pictures, and model.npz."""
     images = sorted((image for image in model.images.values() if image.has_pose), key=lambda image: image.name)
-    lenses = {number: _pinhole(camera) if straight else _widest_pinhole(camera) for number, camera in model.cameras.items()}
+    pinhole = _pinhole if straight else _widest_pinhole
+    lenses = {number: pinhole(camera) for number, camera in model.cameras.items()}
     cameras, files = [], []
     say(stage="pictures", count=0)
     for image in images:
@@ -473,8 +478,9 @@ def _undistort(source, folder, lens, full, camera) -> Path:
 
     picture = cv2.resize(load_image(source), (camera.width, camera.height), interpolation=cv2.INTER_AREA)
     if lens is not None:
-        seen = _through_lens(lens, full.K, full.resized(camera.width, camera.height).pixel_centres().reshape(-1, 2) * [full.width / camera.width, full.height / camera.height])
-        seen = seen * [camera.width / full.width, camera.height / full.height] - 0.5  # OpenCV: centres at whole numbers
+        enlarged = np.array([full.width / camera.width, full.height / camera.height])
+        seen = _through_lens(lens, full.K, camera.pixel_centres().reshape(-1, 2) * enlarged)
+        seen = seen / enlarged - 0.5  # OpenCV: centres at whole numbers
         seen = seen.reshape(camera.height, camera.width, 2).astype(np.float32)
         picture = cv2.remap(picture, seen[..., 0], seen[..., 1], cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
     target = folder / f"{source.stem}.png"

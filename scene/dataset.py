@@ -11,7 +11,8 @@ Pixels: nerfstudio and instant-ngp send the ray of pixel column i through (i + 0
 COLMAP as they are, so cx, cy mean the same here, there and in COLMAP, and nothing is added or taken away.
 
 What nerfstudio has no word for stands under the key "scene2skill", which it ignores: the frame (its name, "robot base"
-or "arbitrary", its unit, how well it is known) and the similarity ``world_from_original`` from the reconstruction's own frame.
+or "arbitrary", its unit, how well it is known) and ``world_from_original``, the similarity from the
+reconstruction's own frame.
 """
 
 import json
@@ -35,8 +36,8 @@ FEWEST_PHOTOGRAPHS = 3
 def load_photographs(folder: str | Path) -> list[Path]:
     """The pictures of a folder, sorted by name, each of them decoded once to its last byte.
 
-    Raises FileNotFoundError (no such folder, no pictures) or ValueError (too few, unreadable, truncated, two of one name,
-    different sizes after EXIF rotation).
+    Raises FileNotFoundError (no such folder, no pictures) or ValueError (too few, unreadable, truncated, two of one
+    name, different sizes after EXIF rotation).
     """
     folder = Path(folder)
     if not folder.is_dir():
@@ -45,10 +46,12 @@ def load_photographs(folder: str | Path) -> list[Path]:
     paths = [p for p in files if p.suffix.lower() in EXTENSIONS]
     if not paths:
         there = ", ".join(f"{n} {s or 'without extension'}" for s, n in Counter(p.suffix for p in files).items())
-        raise FileNotFoundError(f"no pictures in {folder}: looked for {' '.join(EXTENSIONS)}; there: {there or 'no files'}")
+        wanted = " ".join(EXTENSIONS)
+        raise FileNotFoundError(f"no pictures in {folder}: looked for {wanted}; there: {there or 'no files'}")
     if len(paths) < FEWEST_PHOTOGRAPHS:
         names = ", ".join(p.name for p in paths)
-        raise ValueError(f"{len(paths)} pictures in {folder} ({names}); a scene needs at least {FEWEST_PHOTOGRAPHS}, better 30")
+        needed = f"a scene needs at least {FEWEST_PHOTOGRAPHS}, better 30"
+        raise ValueError(f"only {len(paths)} pictures in {folder} ({names}); {needed}")
     _refuse_equal_names(paths)
     _refuse_different_sizes({p: _checked_size(p) for p in paths})
     return paths
@@ -75,7 +78,7 @@ def _refuse_different_sizes(sizes: dict[Path, tuple[int, int]]):
     for size, count in counts:
         names = [p.name for p in sizes if sizes[p] == size]
         groups.append(f"{count} of {size[0]}x{size[1]} ({', '.join(names[:3])}{', ...' if count > 3 else ''})")
-    raise ValueError(f"pictures of different sizes: {'; '.join(groups)}; use one camera in one orientation, or one folder for each")
+    raise ValueError(f"pictures of different sizes: {'; '.join(groups)}; use one camera in one orientation")
 
 
 def load_image(path: str | Path) -> np.ndarray:
@@ -121,7 +124,7 @@ def replacing(path: str | Path) -> Iterator[Path]:
 
 
 def load_views(folder: str | Path) -> list[View]:
-    """The posed pictures of a capture folder, in the order of its transforms.json; poses in its frame [m or arbitrary]."""
+    """The posed pictures of a capture folder, in the order of its transforms.json and in its frame."""
     folder = Path(folder)
     meta = _load_transforms(folder)
     views = [_view(folder, meta, frame, i) for i, frame in enumerate(meta["frames"])]
@@ -132,9 +135,9 @@ def load_views(folder: str | Path) -> list[View]:
 
 
 def load_frame(folder: str | Path) -> dict:
-    """What the "scene2skill" key of transforms.json says of the frame: at least name and unit, "arbitrary" where it is silent.
+    """What transforms.json says of its frame: at least name and unit, "arbitrary" where it is silent.
 
-    ``world_from_original`` (a list of 4 lists) is the similarity from the reconstruction's own frame, where there is one.
+    ``world_from_original`` (a list of 4 lists) is the similarity from the reconstruction's own frame, if there is one.
     """
     extra = _load_transforms(Path(folder)).get("scene2skill") or {}
     return {"name": "arbitrary", "unit": "arbitrary"} | extra.get("frame", {}) | {
@@ -169,10 +172,11 @@ def _view(folder: Path, meta: dict, frame: dict, index: int) -> View:
         bent = ", ".join(f"{key} {lens[key]}" for key in DISTORTION if lens[key])
         raise ValueError(f"{where}: lens distortion ({bent}) is not read; reconstruct from the photographs instead")
     camera = _camera(lens, frame["transform_matrix"], where)
-    path = _picture_path(folder, frame["file_path"], where)
+    path = _inside(folder, frame["file_path"], where)
     image = load_image(path)
     if image.shape[:2] != (camera.height, camera.width):
-        raise ValueError(f"{where}: the picture is {image.shape[1]}x{image.shape[0]}, but w, h say {camera.width}x{camera.height}")
+        size, said = f"{image.shape[1]}x{image.shape[0]}", f"{camera.width}x{camera.height}"
+        raise ValueError(f"{where}: the picture is {size}, but w, h say {said}")
     return View(path.stem, camera, image)
 
 
@@ -189,13 +193,14 @@ def _camera(lens: dict, matrix, where: str) -> Camera:
         raise ValueError(f"{where}: {error}") from error
 
 
-def _picture_path(folder: Path, file_path, where: str) -> Path:
+def _inside(folder: Path, file_path, where: str) -> Path:
+    """The path of a file that must lie in the capture folder."""
     root = os.path.abspath(folder)
     path = os.path.normpath(os.path.join(root, str(file_path)))
     if os.path.commonpath([root, path]) != root:
-        raise ValueError(f"{where}: the picture lies outside the capture folder; file_path must be relative to it")
+        raise ValueError(f"{where}: {file_path} lies outside the capture folder; paths must be relative to it")
     if not os.path.isfile(path):
-        raise FileNotFoundError(f"{where}: no such picture")
+        raise FileNotFoundError(f"{where}: no such file: {file_path}")
     return Path(path)
 
 
@@ -241,7 +246,8 @@ def _intrinsics(camera: Camera) -> dict:
     K = camera.K
     if K[0, 1] or K[1, 0] or (K[2] != [0, 0, 1]).any():
         raise ValueError("transforms.json holds no skewed camera")
-    return dict(zip(INTRINSICS, (camera.width, camera.height, K[0, 0].item(), K[1, 1].item(), K[0, 2].item(), K[1, 2].item())))
+    values = camera.width, camera.height, *(K[i, j].item() for i, j in ((0, 0), (1, 1), (0, 2), (1, 2)))
+    return dict(zip(INTRINSICS, values, strict=True))
 
 
 def _save_picture(folder: Path, view: View) -> Path:
@@ -258,7 +264,8 @@ def load_points(folder: str | Path) -> tuple[np.ndarray, np.ndarray]:
     import trimesh
 
     folder = Path(folder)
-    path = _picture_path(folder, _load_transforms(folder).get("ply_file_path", "sparse.ply"), f"sparse points of {folder}")
+    named = _load_transforms(folder).get("ply_file_path", "sparse.ply")
+    path = _inside(folder, named, f"sparse points of {folder}")
     try:
         cloud = trimesh.load(path, file_type="ply", process=False)
         points = np.array(cloud.vertices, dtype=float).reshape(-1, 3)
@@ -275,7 +282,8 @@ def save_points(path: str | Path, points: np.ndarray, colours: np.ndarray | None
     rows = np.empty(len(points), dtype=[("position", "<f8", 3), ("colour", "u1", 3)])
     rows["position"] = points
     rows["colour"] = 128 if colours is None else colours
-    properties = [f"property double {axis}" for axis in "xyz"] + [f"property uchar {c}" for c in ("red", "green", "blue")]
+    properties = [f"property double {axis}" for axis in "xyz"]
+    properties += [f"property uchar {colour}" for colour in ("red", "green", "blue")]
     header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(points)}", *properties, "end_header", ""]
     with replacing(path) as temporary:
         temporary.write_bytes("\n".join(header).encode() + rows.tobytes())

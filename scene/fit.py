@@ -81,7 +81,7 @@ def fit(
     deterministic: bool = False,
     stages=STAGES,
     batch: int = 4096,
-    patch: int = 4,
+    patch: int = 2,
     rates: tuple[float, float, float, float] = (0.3, 0.02, 0.01, 0.003),
     decay: float = 0.1,
     huber: float = 0.1,

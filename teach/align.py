@@ -31,7 +31,7 @@ COUNT = 100
 """Points at which views are compared."""
 LAGS, LAG_LENGTH = (0.01, 0.02, 0.04, 0.08, 0.16), 0.2
 """Standard deviations of the lag to choose from and its correlation length, both of the whole arc length."""
-FACTORS, FACTOR_SPREAD = (2.0, 4.0, 8.0), 0.7
+FACTORS, FACTOR_SPREAD = (1.0, 2.0, 4.0), 0.7
 """Times that the faults of views vary more than the few strokes within them, to choose from; prior spread of its logarithm."""
 FAULT, FAULT_LENGTH = 0.03, 0.13
 """A single stroke's RMS fault over its diagonal, where there is no second to tell, and the correlation length of all faults."""
@@ -77,28 +77,26 @@ def view_times(sketches: Sequence[Sketch], along) -> np.ndarray:
 
     The first view is compared with each other one; its own time is the mean of what these say.
     """
-    means = [
-        np.mean([resample(stroke, times, COUNT) for stroke, times in zip(sketch.motions, view, strict=True)], axis=0)
+    views = [
+        np.stack([resample(stroke, times, COUNT) for stroke, times in zip(sketch.motions, view, strict=True)])
         for sketch, view in zip(sketches, along, strict=True)
     ]
-    s = np.linspace(0, 1, COUNT)
-    noises = [_variance_of_mean(sketch, view) for sketch, view in zip(sketches, along, strict=True)]
-    other = [
-        np.interp(s, *correspondence(means[0], mean, sketches[0].camera, sketch.camera, (noises[0] + noise) / 2))
-        for mean, noise, sketch in zip(means[1:], noises[1:], sketches[1:], strict=True)
-    ]
+    s, cameras = np.linspace(0, 1, COUNT), [sketch.camera for sketch in sketches]
+    other = [np.interp(s, *correspondence(views[0], view, cameras[0], camera)) for view, camera in zip(views[1:], cameras[1:])]
     first = np.mean([(s + b) / 2 for b in other], axis=0)
     return np.stack([first, *[np.interp(s, b, first) for b in other]])
 
 
-def correspondence(a, b, camera_a: Camera, camera_b: Camera, variance: float, steps: int = 30) -> tuple[np.ndarray, np.ndarray]:
-    """Arc lengths along a and along b (COUNT, 2) [px] that show the same moments: (COUNT,) each, from 0 to 1, not decreasing.
+def correspondence(strokes_a, strokes_b, camera_a: Camera, camera_b: Camera) -> tuple[np.ndarray, np.ndarray]:
+    """Arc lengths (COUNT,) along a and along b that show the same moments, both from 0 to 1 and not decreasing.
 
-    variance: of the Sampson distance by the hand's faults [px^2].
+    strokes_a (A, COUNT, 2), strokes_b (B, COUNT, 2) [px]: the strokes of two views at even arc lengths.
     """
+    a, b, F = strokes_a.mean(axis=0), strokes_b.mean(axis=0), fundamental(camera_a, camera_b)
     u = np.linspace(0, 1, len(a))
-    F = fundamental(camera_a, camera_b)
     distance = lambda lag: sampson(_at(a, u - lag / 2), _at(b, u + lag / 2), F)
+    variance = _variance_of_mean([sampson(stroke, b, F) for stroke in strokes_a], a)
+    variance += _variance_of_mean([sampson(a, stroke, F) for stroke in strokes_b], b)
     E = variance * (_kernel(u, FAULT_LENGTH) + 0.05 * np.eye(len(u)))
     L = _pinned(_kernel(u, LAG_LENGTH))
     options = [_most_probable_lag(distance, factor * E, size**2 * L, -0.5 * (np.log(factor / FACTORS[0]) / FACTOR_SPREAD) ** 2)
@@ -149,13 +147,12 @@ def sampson(a, b, F) -> np.ndarray:
     return (lines_b * b).sum(-1) / np.maximum(gradient, 1e-300)
 
 
-def _variance_of_mean(sketch: Sketch, along) -> float:
-    """Variance [px^2] per coordinate of the mean of a view's strokes."""
-    strokes = np.stack([resample(stroke, times, COUNT) for stroke, times in zip(sketch.motions, along, strict=True)])
-    fault = (FAULT**2) * (np.ptp(strokes.mean(axis=0), axis=0) ** 2).sum() / 2
-    if len(strokes) == 1:
-        return max(fault, 1e-6)
-    return max(strokes.var(axis=0, ddof=1).mean() / len(strokes), 0.01 * fault, 1e-6)
+def _variance_of_mean(distances, mean) -> float:
+    """Variance [px^2] of the mean of a view's strokes across epipolar lines, from their Sampson distances (S, N) [px]."""
+    guess = FAULT**2 * (np.ptp(mean, axis=0) ** 2).sum() / 2
+    if len(distances) == 1:
+        return max(guess, 1e-6)
+    return max(np.var(distances, axis=0, ddof=1).mean() / len(distances), 0.01 * guess, 1e-6)
 
 
 def _at(curve, fractions) -> np.ndarray:

@@ -26,7 +26,8 @@ def pose(x=0.0, y=0.0, z=0.0, yaw_deg=0.0, tilt_deg=0.0):
     return matrix
 
 
-LAYOUT = TagLayout(SIZE, {3: pose(0.4, -0.3, 0, 20), 5: pose(0.9, 0.4, 0.1, 130), 8: pose(0.8, -0.4, 0.05, 0, 40), 11: pose(0.3, 0.4)})
+POSES = {3: pose(0.4, -0.3, 0, 20), 5: pose(0.9, 0.4, 0.1, 130), 8: pose(0.8, -0.4, 0.05, 0, 40), 11: pose(0.3, 0.4)}
+LAYOUT = TagLayout(SIZE, POSES)
 
 
 def cameras(count=8):
@@ -49,10 +50,8 @@ def unscaled(similarity, to_move):
 
 def detections(layout=LAYOUT, noise_px=0.0, seed=0):
     rng = np.random.default_rng(seed)
-    return [
-        {number: camera.project(corners) + rng.normal(0, noise_px, (4, 2)) for number, corners in layout.corners().items()}
-        for camera in cameras()
-    ]
+    corners = layout.corners()
+    return [{n: camera.project(corners[n]) + rng.normal(0, noise_px, (4, 2)) for n in corners} for camera in cameras()]
 
 
 # Detection
@@ -73,13 +72,12 @@ def tag_photograph(camera, number, world_from_tag, oversampling=4):
     """A tag on grey, rendered with area sampling."""
     large = camera.resized(camera.width * oversampling, camera.height * oversampling)
     dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
-    cells = np.pad(cv2.rotate(cv2.aruco.generateImageMarker(dictionary, number, 8), cv2.ROTATE_180), 1, constant_values=255)
-    picture = cv2.resize(cells, (800, 800), interpolation=cv2.INTER_NEAREST)
-    half = SIZE * 10 / 16
-    corners = np.array([[-half, half, 0], [half, half, 0], [half, -half, 0], [-half, -half, 0]]) @ world_from_tag[:3, :3].T + world_from_tag[:3, 3]
+    cells = cv2.rotate(cv2.aruco.generateImageMarker(dictionary, number, 8), cv2.ROTATE_180)
+    picture = cv2.resize(np.pad(cells, 1, constant_values=255), (800, 800), interpolation=cv2.INTER_NEAREST)
+    corners = TagLayout(SIZE * 10 / 8, {number: world_from_tag}).corners()[number][::-1]  # from the top left, clockwise
     source = np.array([[0, 0], [800, 0], [800, 800], [0, 800]], np.float32) - 0.5
     H = cv2.getPerspectiveTransform(source, (large.project(corners) - 0.5).astype(np.float32))
-    canvas = cv2.warpPerspective(picture, H, (large.width, large.height), borderMode=cv2.BORDER_CONSTANT, borderValue=140)
+    canvas = cv2.warpPerspective(picture, H, (large.width, large.height), borderValue=140)
     return cv2.resize(canvas, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
 
 
@@ -90,7 +88,8 @@ def test_detected_corners_are_unbiased_and_exact_to_a_tenth_of_a_pixel():
         camera = Camera.from_fov(look_at(eye, rng.normal(size=3) * [0.1, 0.1, 0]), 640, 480, 50)
         world_from_tag = pose(yaw_deg=rng.uniform(0, 360))
         found = apriltag.detect(tag_photograph(camera, number, world_from_tag))
-        errors += [found[number] - camera.project(TagLayout(SIZE, {number: world_from_tag}).corners()[number])] if number in found else []
+        true = camera.project(TagLayout(SIZE, {number: world_from_tag}).corners()[number])
+        errors += [found[number] - true] if number in found else []
     errors = np.array(errors)
     assert len(errors) >= 25
     assert np.abs(errors.mean(axis=(0, 1))).max() < 0.03

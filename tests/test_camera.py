@@ -26,9 +26,9 @@ def similarities(draw):
 @st.composite
 def lenses(draw):
     width, height = draw(st.integers(10, 4000)), draw(st.integers(10, 4000))
-    focal = draw(st.floats(0.4, 3)) * width
-    K = np.array([[focal, 0, width * draw(st.floats(0.3, 0.7))], [0, focal * draw(st.floats(0.8, 1.2)), height * draw(st.floats(0.3, 0.7))], [0, 0, 1]])
-    return Camera(K, draw(poses()), width, height)
+    fx = draw(st.floats(0.4, 3)) * width
+    fy, cx, cy = fx * draw(st.floats(0.8, 1.2)), width * draw(st.floats(0.3, 0.7)), height * draw(st.floats(0.3, 0.7))
+    return Camera(np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), draw(poses()), width, height)
 
 
 @given(lenses(), st.floats(0, 1), st.floats(0, 1), st.floats(0.05, 100))
@@ -44,7 +44,8 @@ def test_the_ray_of_a_projected_point_passes_through_it(camera, point):
     assume(camera.depth(point) > 1e-3)
     origin, direction = camera.rays(camera.project(point))
     to_point = point - origin
-    assert np.linalg.norm(to_point - direction * (direction @ to_point)) < 1e-7 * (1 + np.linalg.norm(to_point) / camera.depth(point))
+    obliqueness = np.linalg.norm(to_point) / camera.depth(point)
+    assert np.linalg.norm(to_point - direction * (direction @ to_point)) < 1e-7 * (1 + obliqueness)
     assert direction @ to_point > 0
 
 
@@ -157,7 +158,9 @@ def test_a_camera_cannot_be_changed_and_does_not_hold_the_callers_array():
         camera.K[0, 0] = 3
 
 
-@pytest.mark.parametrize("pose", [np.diag([2.0, 1, 1, 1]), np.diag([-1.0, 1, 1, 1]), np.full((4, 4), np.nan), np.eye(3)])
+@pytest.mark.parametrize(
+    "pose", [np.diag([2.0, 1, 1, 1]), np.diag([-1.0, 1, 1, 1]), np.full((4, 4), np.nan), np.eye(3)]
+)
 def test_a_pose_that_is_no_rigid_transform_is_refused(pose):
     with pytest.raises(ValueError, match="a camera"):
         Camera(np.eye(3), pose, 4, 4)

@@ -168,7 +168,7 @@ BROKEN = {
     "frame 1.*missing transform_matrix": lambda m: m["frames"][1].pop("transform_matrix"),
     "frame 0.*a.png.*orthonormal": lambda m: m["frames"][0]["transform_matrix"][0].__setitem__(0, 3.0),
     "last row": lambda m: m["frames"][0]["transform_matrix"][3].__setitem__(0, 1.0),
-    "no such picture": lambda m: m["frames"][0].update(file_path="images/other.png"),
+    "no such file": lambda m: m["frames"][0].update(file_path="images/other.png"),
     "outside the capture folder": lambda m: m["frames"][0].update(file_path="/etc/passwd"),
     "outside": lambda m: m["frames"][0].update(file_path="../x.png"),
     "lens distortion.*k1 0.1": lambda m: m.update(k1=0.1),

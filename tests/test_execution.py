@@ -1,0 +1,184 @@
+"""Motions performed by simulated motors, judged by where things stand; and their films."""
+
+from types import SimpleNamespace
+
+import av
+import numpy as np
+import pytest
+
+from robot import execution
+from robot.arm import Arm
+from robot.execution import Execution, film_camera, goal_point, judge, perform, save_video
+from robot.planner import plan
+from robot.world import World
+from robot.worldfile import pre_grasp
+from teach.basis import SquaredExponential
+from teach.scripted import smooth_path
+from teach.trajectory import Skill, TrajectoryDistribution
+
+
+@pytest.fixture(scope="module")
+def arm():
+    return Arm.load("panda")
+
+
+@pytest.fixture
+def tiny():
+    with World.load("tiny", textured=False) as world:
+        yield world
+
+
+def turned(arm, joints, by, duration=2.0):
+    """A plan that turns some joints from home and back to rest; not checked against anything."""
+    times = np.linspace(0, duration, 101)
+    change = np.zeros(len(arm.home))
+    change[list(joints)] = by
+    share = (1 - np.cos(np.pi * times / duration)) / 2
+    return SimpleNamespace(times=times, joints=arm.home + share[:, None] * change, names=arm.joint_names, feasible=True, sentence="")
+
+
+def taught(world):
+    """A skill around the motion that the world intends."""
+    s = np.linspace(0, 1, 60)
+    points = smooth_path(world.spec["motion"]["via"], 60)
+    basis = SquaredExponential(10, 30.0)
+    weights = np.linalg.lstsq(basis(s), points, rcond=None)[0]
+    return Skill(TrajectoryDistribution(basis, weights, 1e-4 * np.eye(30)), 3.0)
+
+
+@pytest.fixture(scope="module")
+def performed(arm):
+    with World.load("tiny") as world:
+        chosen = plan(taught(world), arm, world, samples=1, postures=4)
+        return chosen, perform(chosen, arm, world, fps=2.0, width=160, height=120)
+
+
+def test_the_intended_motion_is_planned_performed_and_judged_a_success(performed):
+    chosen, done = performed
+    assert chosen.feasible and done.success
+    assert done.metrics["contacts"] == 0 and done.metrics["final_error_mm"] < 20
+    assert done.metrics["tracking_error_mm"] < 5 and "nothing was touched" in done.sentence
+
+
+def test_the_record_has_a_row_for_every_step_and_its_tip_is_the_arms(performed, arm):
+    chosen, done = performed
+    assert len(done.times) == len(done.joints) == len(done.tip) == len(done.tip_error)
+    np.testing.assert_allclose(np.diff(done.times), 1 / 240)
+    assert done.duration == chosen.times[-1] < done.times[-1]
+    np.testing.assert_allclose(done.tip, arm.fk(done.joints)[:, :3, 3], atol=1e-5)
+    np.testing.assert_allclose(done.joints[0], chosen.joints[0], atol=1e-9)
+
+
+def test_the_film_lasts_as_long_as_the_motion_and_the_robot_moves_in_it(performed):
+    _, done = performed
+    assert done.frames.shape == (int(done.times[-1] * 2.0) + 1, 120, 160, 3) and done.frames.dtype == np.uint8
+    assert np.abs(done.frames[0].astype(int) - done.frames[-1]).max() > 50
+
+
+def test_what_is_saved_is_loaded_but_for_the_film(performed, tmp_path):
+    _, done = performed
+    done.save(tmp_path / "execution.npz")
+    again = Execution.load(tmp_path / "execution.npz")
+    assert (again.metrics, again.sentence, again.names) == (done.metrics, done.sentence, done.names)
+    np.testing.assert_array_equal(again.tip, done.tip)
+    assert len(again.frames) == 0 and [p.name for p in tmp_path.iterdir()] == ["execution.npz"]
+
+
+def test_a_thing_in_the_way_is_touched_named_and_spoils_the_success(arm):
+    """Joint 1 swings the hand sideways into a post that the plan knew nothing of."""
+    post = {"name": "post", "shape": "box", "size": [0.1, 0.1, 1.2], "position": [0.25, 0.32, 0.3]}
+    with World.from_spec({"name": "post", "objects": [post], "view": {"target": [0.3, 0, 0.4]}}, textured=False) as world:
+        done = perform(turned(arm, [0], 1.2), arm, world, fps=0)
+    assert done.touched == ("post",) and not done.success
+    assert done.touched_by[0].startswith("panda_") and 0 < done.touched_at[0] < 2 and done.touch_depth[0] > 0
+    assert "touched post" in done.sentence
+
+
+def test_the_same_motion_without_the_post_touches_nothing_and_ends_where_planned(arm, tiny):
+    done = perform(turned(arm, [0], 1.2), arm, tiny, fps=0)
+    assert done.touched == () and done.tip_error[-1] < 1e-3
+    assert not done.success and done.final_error > 0.05  # but not where this world wants it
+
+
+def test_motors_are_bound_by_their_effort_and_hold_the_arm_against_gravity(arm, tiny, monkeypatch):
+    """An arm whose motors are too weak sinks: the simulated arm is driven, not placed."""
+    robot = execution._Robot(arm, tiny.client, arm.home)
+    for _ in range(240):
+        robot.step(arm.home, arm.home)
+    torque = [abs(state[3]) for state in tiny.client.getJointStates(robot.body, robot.joints)]
+    assert np.abs(robot.state()[0] - arm.home).max() < 1e-3 and max(torque) > 5
+    robot.effort = dict.fromkeys(robot.effort, 1.0)
+    for _ in range(240):
+        robot.step(arm.home, arm.home)
+    assert np.abs(robot.state()[0] - arm.home).max() > 0.2
+
+
+def test_the_goal_is_read_from_where_the_object_stands_now(tiny):
+    before = goal_point(tiny)
+    np.testing.assert_allclose(before, pre_grasp(tiny.spec))
+    body = tiny.bodies["Can1"]
+    position, quat_xyzw = tiny.client.getBasePositionAndOrientation(body)
+    tiny.client.resetBasePositionAndOrientation(body, np.add(position, [0, 0.1, 0]), quat_xyzw)
+    np.testing.assert_allclose(goal_point(tiny) - before, [0, 0.1, 0], atol=1e-9)
+    assert judge(tiny, before, 0)["final_error"] == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize(("off", "contacts", "success"), [(0.0, 0, True), (0.049, 0, True), (0.051, 0, False), (0.0, 1, False)])
+def test_the_judge_follows_the_worlds_conditions(tiny, off, contacts, success):
+    verdict = judge(tiny, goal_point(tiny) + [0, 0, off], contacts)
+    assert verdict["success"] is success and verdict["final_error"] == pytest.approx(off)
+
+
+def test_plans_that_were_refused_or_are_of_another_arm_are_not_performed(arm, tiny):
+    refused = turned(arm, [0], 0.1)
+    refused.feasible, refused.sentence = False, "the mean: elbow in the wall"
+    with pytest.raises(ValueError, match="not feasible.*elbow in the wall"):
+        perform(refused, arm, tiny)
+    foreign = turned(arm, [0], 0.1)
+    foreign.names = ("hip", "knee")
+    with pytest.raises(ValueError, match="hip, knee.*panda_joint1"):
+        perform(foreign, arm, tiny)
+
+
+def test_two_performances_of_one_plan_are_equal(arm):
+    def once():
+        with World.load("tiny", textured=False) as world:
+            return perform(turned(arm, [1, 3], 0.3), arm, world, fps=0)
+
+    np.testing.assert_array_equal(once().joints, once().joints)
+
+
+def test_a_film_is_h264_that_browsers_play(tmp_path):
+    frames = np.zeros((10, 61, 81, 3), np.uint8)  # odd sizes lose their last row and column
+    frames[:, :, :40] = [200, 30, 30]
+    save_video(tmp_path / "film.mp4", frames, 12.5)
+    with av.open(str(tmp_path / "film.mp4")) as video:
+        stream = video.streams.video[0]
+        pictures = [frame.to_ndarray(format="rgb24") for frame in video.decode(stream)]
+        assert (stream.codec_context.name, stream.codec_context.pix_fmt, float(stream.average_rate)) == ("h264", "yuv420p", 12.5)
+    assert len(pictures) == 10 and pictures[0].shape == (60, 80, 3)
+    np.testing.assert_allclose(pictures[5][30, 20], [200, 30, 30], atol=12)
+    content = (tmp_path / "film.mp4").read_bytes()
+    assert content.index(b"moov") < content.index(b"mdat")  # the index comes first, so that it plays while it loads
+    assert [p.name for p in tmp_path.iterdir()] == ["film.mp4"]
+
+
+def test_a_film_without_frames_is_refused_and_leaves_nothing(tmp_path):
+    with pytest.raises(ValueError, match="at least one frame"):
+        save_video(tmp_path / "film.mp4", [], 12.5)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_files_that_are_no_execution_are_refused(tmp_path):
+    with pytest.raises(FileNotFoundError):
+        Execution.load(tmp_path / "none.npz")
+    (tmp_path / "bad.npz").write_bytes(b"not an archive")
+    with pytest.raises(ValueError, match="not an execution file"):
+        Execution.load(tmp_path / "bad.npz")
+
+
+@pytest.mark.parametrize("name", ["tiny", "table"])
+def test_the_film_shows_the_whole_intended_motion(name):
+    with World.load(name, textured=False) as world:
+        camera = film_camera(world.spec, 480, 360)
+        assert camera.contains(camera.project(world.spec["motion"]["via"])).all()

@@ -1,0 +1,235 @@
+"""Worlds: built as their files say, photographed where cameras stand, and refused where files are wrong."""
+
+import copy
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from robot import worldfile
+from robot.photographs import hemisphere
+from robot.world import World
+from scene.camera import Camera, look_at
+
+MARKER = {"name": "marker", "shape": "box", "size": [0.02, 0.02, 0.02], "position": [0.1, -0.05, 0.2]}
+PLAIN = {"name": "plain", "objects": [MARKER], "view": {"target": [0, 0, 0]}}
+
+
+def camera_at(eye, target=(0, 0, 0), K=None):
+    camera = Camera.from_fov(look_at(eye, target), 320, 240, 50)
+    return camera if K is None else Camera(K, camera.world_from_camera, 320, 240)
+
+
+@pytest.fixture(scope="module")
+def table():
+    with World.load("table") as world:
+        yield world
+
+
+@pytest.fixture(scope="module")
+def tiny():
+    with World.load("tiny") as world:
+        yield world
+
+
+def test_the_table_stands_as_motionbenchmaker_published_it():
+    """facts/worlds.md: full lengths, or height and radius; places [m]."""
+    published = {
+        "top": ([1.2, 2.0, 0.04], [1.15, 0.10, 0.20]), "Can1": ([0.12, 0.03], [0.95, 0.10, 0.30]),
+        "Cube": ([0.25, 0.25, 0.25], [0.85, 0.50, 0.35]), "Object1": ([0.35, 0.05], [1.45, 0.10, 0.35]),
+        "Object2": ([0.2, 0.02, 0.4], [1.15, -0.10, 0.40]), "Object3": ([0.02, 0.2, 0.4], [0.75, 0.30, 0.40]),
+        "Object4": ([0.2, 0.05, 0.35], [0.75, -0.10, 0.40]), "Object5": ([0.2, 0.05, 0.35], [1.15, 0.30, 0.40]),
+    }  # fmt: skip
+    with World.load("table", textured=False) as world:
+        things = {thing["name"]: thing for thing in world.spec["objects"]}
+        for name, (lengths, place) in published.items():
+            thing = things[name]
+            assert (thing.get("size") or [thing["height"], thing["radius"]]) == lengths, name
+            np.testing.assert_allclose(world.client.getBasePositionAndOrientation(world.bodies[name])[0], place, atol=1e-9)
+        legs = {tuple(things[f"leg{i}"]["position"]) for i in (1, 2, 3, 4)}
+        assert legs == {(x, y, -0.15) for x in (0.70, 1.60) for y in (0.95, -0.75)}
+
+
+@pytest.mark.parametrize("name", worldfile.names())
+def test_the_intended_motion_leads_from_the_arms_start_to_the_pre_grasp_point(name):
+    from robot.arm import Arm
+
+    spec, arm = worldfile.read(name), Arm.load("panda")
+    via = np.array(spec["motion"]["via"])
+    np.testing.assert_allclose(via[0], arm.fk(arm.home)[:3, 3], atol=1e-3)
+    np.testing.assert_allclose(via[-1], worldfile.pre_grasp(spec), atol=1e-9)
+
+
+@pytest.mark.parametrize("eye", [(1.0, 0.4, 0.8), (-0.6, -0.7, 0.5), (0.1, 0.2, 1.2)])
+@pytest.mark.parametrize("K", [None, [[300, 0, 140], [0, 320, 150], [0, 0, 1]]], ids=["middle", "off the middle"])
+def test_a_point_is_seen_where_the_camera_projects_it(eye, K):
+    """The middle of a small cube's silhouette, against the middle of its projected corners' hull."""
+    with World.from_spec(PLAIN) as world:
+        camera = camera_at(eye, MARKER["position"], K)
+        _, depth = world.photograph_with_depth(camera)
+    corners = np.array(MARKER["position"]) + 0.01 * np.array(np.meshgrid(*[[-1, 1]] * 3)).reshape(3, -1).T
+    pixels = camera.project(corners)
+    rows, columns = np.nonzero(np.isfinite(depth))
+    seen = np.array([[columns.min(), rows.min()], [columns.max() + 1, rows.max() + 1]])
+    np.testing.assert_allclose(seen, [pixels.min(0), pixels.max(0)], atol=1.0)
+
+
+def test_depth_is_metric_along_the_optical_axis_and_nan_where_nothing_is():
+    slab = {"name": "slab", "shape": "box", "size": [2, 2, 0.1], "position": [0, 0, -0.05]}
+    with World.from_spec(PLAIN | {"objects": [slab]}) as world:
+        camera = camera_at((0.5, -0.4, 1.0), (0.1, 0, 0))
+        _, depth = world.photograph_with_depth(camera)
+        _, away = world.photograph_with_depth(camera_at((0, 0, 1.0), (0, 0, 2.0)))
+    origins, directions = camera.rays(camera.pixel_centres())
+    true = -origins[..., 2] / directions[..., 2] * (directions @ camera.forward)
+    hit = (np.abs(origins - origins[..., 2:] / directions[..., 2:] * directions)[..., :2] < 0.95).all(-1)
+    np.testing.assert_allclose(depth[hit], true[hit], atol=3e-3)
+    assert np.isnan(away).all()
+
+
+def test_the_official_tag_is_seen_upright_at_the_place_it_is_said_to_be(tiny):
+    """scene.apriltag finds each tag's corners where the poses put them, in the official order."""
+    from scene.apriltag import TagLayout, detect
+
+    camera = Camera.from_fov(look_at([0.1, -0.5, 1.1], [0.62, 0.0, 0.12]), 640, 480, 50)
+    layout, found = TagLayout(tiny.tag_size, tiny.base_from_tag), detect(tiny.photograph(camera))
+    assert set(found) == {0, 1, 2, 3}
+    for number, corners in layout.corners().items():
+        np.testing.assert_allclose(found[number], camera.project(corners), atol=0.7)
+
+
+def test_tag_pictures_are_the_official_ones():
+    import cv2
+
+    from robot.skins import tag_cells
+
+    folder = Path(__file__).parents[2] / "shared" / "data" / "tags"
+    if not folder.is_dir():
+        pytest.skip("the official tag pictures are not here")
+    for number in range(8):
+        official = cv2.imread(str(folder / f"tag36_11_{number:05d}.png"), cv2.IMREAD_GRAYSCALE)
+        np.testing.assert_array_equal(tag_cells(number), official)
+
+
+def test_the_same_picture_is_taken_again_and_by_another_world_at_the_same_time(tiny):
+    camera = camera_at((0.2, -0.8, 0.9), (0.6, 0, 0.1))
+    with World.load("tiny") as other:
+        np.testing.assert_array_equal(tiny.photograph(camera), other.photograph(camera))
+        other.client.resetBasePositionAndOrientation(other.bodies["Can1"], [0.5, -0.1, 0.18], [0, 0, 0, 1])
+        assert (tiny.photograph(camera) != other.photograph(camera)).any()
+
+
+def test_surfaces_look_the_same_from_all_sides(table):
+    """Colour at points of the table top from two cameras: no highlight that a field would have to explain."""
+    cameras = [Camera.from_fov(look_at(eye, [1.1, -0.4, 0.22]), 320, 240, 30) for eye in ([0.4, -1.3, 1.0], [1.9, -1.2, 1.2])]
+    grid = np.stack(np.meshgrid(np.linspace(1.0, 1.2, 9), np.linspace(-0.5, -0.3, 9), [0.22]), -1).reshape(-1, 3)
+    means = [table.photograph(c)[tuple(np.floor(c.project(grid)).astype(int).T[::-1])].mean(0) for c in cameras]
+    np.testing.assert_allclose(*means, atol=6)
+
+
+def test_the_sketch_views_see_the_whole_intended_motion_and_its_end(table):
+    from teach.scripted import smooth_path
+
+    path = smooth_path(table.spec["motion"]["via"], 40)
+    for view in table.spec["sketch_views"]:
+        camera = Camera.from_fov(look_at(view["eye"], view["target"]), 320, 240, view["fov_deg"])
+        pixels = camera.project(path)
+        assert camera.contains(pixels).all()
+        _, depth = table.photograph_with_depth(camera)
+        behind = depth[tuple(np.floor(pixels).astype(int).T[::-1])]
+        assert (np.isnan(behind) | (behind > camera.depth(path) - 0.01)).all()
+
+
+def test_photographs_are_seeded_even_and_outside_of_everything(table):
+    cameras = hemisphere(table.spec["view"], seed=3)
+    again, other = hemisphere(table.spec["view"], seed=3), hemisphere(table.spec["view"], seed=4)
+    assert len(cameras) == 48 and all((a.world_from_camera == b.world_from_camera).all() for a, b in zip(cameras, again))
+    assert any((a.world_from_camera != b.world_from_camera).any() for a, b in zip(cameras, other))
+    offsets = np.array([c.centre for c in cameras]) - table.spec["view"]["target"]
+    quadrants = np.histogram(np.arctan2(offsets[:, 1], offsets[:, 0]), bins=4, range=(-np.pi, np.pi))[0]
+    assert quadrants.min() >= 8 and (offsets[:, 2] > 0.2).all()
+    for thing in table.spec["objects"]:
+        low, high = table.client.getAABB(table.bodies[thing["name"]])
+        assert not any(((c.centre > np.subtract(low, 0.05)) & (c.centre < np.add(high, 0.05))).all() for c in cameras)
+
+
+def test_seed_zero_is_as_published_and_another_seed_moves_the_goal_with_its_motion():
+    published, moved = worldfile.read("table"), worldfile.varied(worldfile.read("table") | {"seed": 5})
+    assert worldfile.varied(published) == published
+    assert moved["motion"]["via"][0] == published["motion"]["via"][0]  # the hand starts where the arm is
+    np.testing.assert_allclose(moved["motion"]["via"][-1], worldfile.pre_grasp(moved), atol=1e-9)
+    assert np.linalg.norm(worldfile.pre_grasp(moved) - worldfile.pre_grasp(published)) > 0.003
+    assert worldfile.varied(worldfile.read("table") | {"seed": 5}) == moved
+
+
+def test_movable_things_fall_and_fixed_ones_stay():
+    cube = MARKER | {"name": "cube", "mass": 0.1, "position": [0, 0, 1.0]}
+    with World.from_spec(PLAIN | {"objects": [MARKER, cube]}, textured=False) as world:
+        for _ in range(60):
+            world.client.stepSimulation()
+        place = {name: world.client.getBasePositionAndOrientation(body)[0] for name, body in world.bodies.items()}
+    assert place["cube"][2] < 0.75
+    np.testing.assert_allclose(place["marker"], MARKER["position"])
+
+
+def test_a_drawer_slides_along_its_axis_only():
+    parts = [{"name": "cabinet", "shape": "box", "size": [0.2, 0.2, 0.2], "position": [0, 0, 0.5]},
+             {"name": "drawer", "shape": "box", "size": [0.1, 0.1, 0.1], "position": [0.3, 0, 0.5], "mass": 1.0}]  # fmt: skip
+    joint = {"name": "slide", "parent": "cabinet", "child": "drawer", "type": "prismatic", "axis": [1, 0, 0]}
+    with World.from_spec(PLAIN | {"objects": parts, "joints": [joint]}, textured=False) as world:
+        body = world.bodies["drawer"]
+        for _ in range(120):
+            world.client.applyExternalForce(body, -1, [2, 3, 0], world.client.getBasePositionAndOrientation(body)[0], 1)
+            world.client.stepSimulation()
+        place = world.client.getBasePositionAndOrientation(body)[0]
+    assert place[0] > 0.4
+    np.testing.assert_allclose(place[1:], [0, 0.5], atol=5e-3)
+
+
+WRONG = {
+    "negative size": ({"size": [0.1, -0.1, 0.1]}, "marker.*size"),
+    "two lengths": ({"size": [0.1, 0.1]}, "marker.*size"),
+    "not a number": ({"position": [0, float("nan"), 0]}, "marker.*position"),
+    "unknown shape": ({"shape": "torus"}, "marker.*torus.*box, cylinder, mesh"),
+    "unknown texture": ({"texture": "marble"}, "marker.*marble.*wood"),
+    "negative mass": ({"mass": -1}, "marker.*mass"),
+    "no such mesh": ({"shape": "mesh", "file": "none.obj"}, "marker.*none.obj"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_a_wrong_field_is_named_with_its_object(case):
+    change, message = WRONG[case]
+    spec = copy.deepcopy(PLAIN)
+    spec["objects"][0] |= change
+    with pytest.raises(ValueError, match=message):
+        World.from_spec(spec)
+
+
+def test_missing_keys_twins_and_foreign_goals_are_named():
+    def refuse(message, **change):
+        with pytest.raises(ValueError, match=message):
+            World.from_spec(copy.deepcopy(PLAIN) | change)
+
+    refuse("marker.*missing position", objects=[{k: v for k, v in MARKER.items() if k != "position"}])
+    refuse("two objects are called marker", objects=[MARKER, MARKER])
+    refuse("Cup.*none of marker", goal={"object": "Cup"})
+    refuse("joint j.*parent", joints=[{"name": "j", "type": "prismatic", "parent": "x", "child": "marker", "axis": [1, 0, 0]}])
+
+
+def test_an_unknown_world_is_told_which_there_are(tmp_path):
+    with pytest.raises(FileNotFoundError, match="moon.*table, tiny"):
+        World.load("moon")
+    (tmp_path / "mine.yaml").write_text("objects: [")
+    with pytest.raises(ValueError, match="not YAML"):
+        World.load(tmp_path / "mine.yaml")
+
+
+def test_a_users_own_file_is_read_and_never_executed(tmp_path):
+    (tmp_path / "mine.yaml").write_text(yaml.safe_dump(PLAIN))
+    with World.load(tmp_path / "mine.yaml", textured=False) as world:
+        assert set(world.bodies) == {"marker"}
+    (tmp_path / "evil.yaml").write_text("!!python/object/apply:os.getcwd []")
+    with pytest.raises(ValueError, match="not YAML"):
+        World.load(tmp_path / "evil.yaml")
