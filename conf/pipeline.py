@@ -52,7 +52,7 @@ def reconstruct(job: Job, out: Path) -> dict:
     from scene.camera import View
     from scene.dataset import load_photographs, save_views
 
-    model = _setting(job, "scene.colmap")(load_photographs(_photographs(job)), out, seed=job.cfg.scene.seed)
+    model = _setting(job, "scene.colmap")(load_photographs(_photographs(job)), out, seed=job.cfg.scene.seed, progress=_watched())
     layout = _tags(job)
     frame = align(model, TagLayout.load(layout)) if layout else gravity_frame(model.cameras, model.points)
     views = [View(view.name, frame.move(view.camera), view.image) for view in model.views()]
@@ -80,7 +80,7 @@ def train(job: Job, out: Path) -> dict:
     training, held_out = split(views)
     started = time.perf_counter()
     field = _setting(job, "scene.fit")(
-        training, points=points, colours=colours, seed=job.cfg.scene.seed, checkpoint=out / "checkpoint.npz"
+        training, points=points, colours=colours, seed=job.cfg.scene.seed, checkpoint=out / "checkpoint.npz", progress=_watched()
     )
     metrics = {"seconds": time.perf_counter() - started}
     field.save(out / "field.pt")
@@ -318,7 +318,12 @@ def _plain_camera(camera) -> dict:
 def _progress(items, title: str):
     from tqdm import tqdm
 
-    return tqdm(items, desc=f"  {title}", leave=False, disable=not sys.stderr.isatty())
+    return tqdm(items, desc=f"  {title}", leave=False, disable=not _watched())
+
+
+def _watched() -> bool:
+    """Progress bars are for people, not for log files."""
+    return sys.stderr.isatty()
 
 
 def main(*overrides: str) -> None:

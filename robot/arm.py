@@ -160,10 +160,9 @@ class Arm:
     @cached_property
     def _numbering(self) -> dict[str, int]:
         """{joint name: PyBullet's index}, from a scratch client."""
-        import pybullet
-        from pybullet_utils.bullet_client import BulletClient
+        from robot.bullet import connect
 
-        client = BulletClient(pybullet.DIRECT)
+        client = connect()
         try:
             body = client.loadURDF(str(self.urdf), useFixedBase=True)
             return {client.getJointInfo(body, i)[1].decode(): i for i in range(client.getNumJoints(body))}

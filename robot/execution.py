@@ -16,8 +16,8 @@ from zipfile import BadZipFile
 
 import av
 import numpy as np
-import pybullet
 
+from robot.bullet import pybullet
 from robot.timing import motion_spline
 from scene.camera import Camera, look_at
 

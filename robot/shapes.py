@@ -10,10 +10,11 @@ from pathlib import Path
 
 import fcl
 import numpy as np
-import pybullet
 import trimesh
 from scipy.cluster.vq import kmeans2
 from scipy.spatial import ConvexHull
+
+from robot.bullet import pybullet
 
 BOX, CYLINDER, CAPSULE, SPHERE = 0, 1, 2, 3
 BALLS = 12

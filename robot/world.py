@@ -12,10 +12,9 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import pybullet
-from pybullet_utils.bullet_client import BulletClient
 
 from robot import skins, worldfile
+from robot.bullet import connect, pybullet
 from scene.camera import OPENCV_FROM_OPENGL, Camera, invert
 
 NEAR, FAR = 0.05, 30.0  # m
@@ -35,7 +34,7 @@ class World:
     def __init__(self, spec: dict, *, textured: bool = True):
         worldfile.check(spec)
         self.spec = worldfile.varied(spec)
-        self.client = BulletClient(pybullet.DIRECT)
+        self.client = connect()
         self.client.setGravity(0, 0, -9.81)
         self.bodies: dict[str, int] = {}
         self._joints: dict[str, int] = {}

@@ -36,7 +36,7 @@ from scene.dataset import FEWEST_PHOTOGRAPHS, is_rotated, load_image, replacing,
 STRAIGHT = 0.1
 """A lens that moves no pixel by more than this [px] is taken for a pinhole, and its pictures are kept as they are."""
 
-UPSAMPLED = 500
+UPSAMPLED = 1000
 """Photographs smaller than this [px] are searched for features at twice their size."""
 
 USUAL = {"max_ratio": 0.8, "init_inliers": 60, "pose_inliers": 25, "init_angle": 12.0}

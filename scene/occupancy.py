@@ -7,30 +7,40 @@ import numpy as np
 
 from scene import kernels
 
+MARGIN = 1.2  # width of the box of interest over that of the pictures there
 FARTHEST = 32  # distances to occupied cells are counted up to this many cells
 
 
 def box_of_interest(views, points=None, bounds=None) -> tuple[np.ndarray, float]:
     """Centre (3,) and half width of the cube that gets the grid's full resolution [m].
 
-    bounds: (2, 3) lowest and highest corner. Without it the cube holds 94 % of the points (N, 3) along each axis; without
-    those it stands where the optical axes meet and reaches 0.6 of the way to the cameras.
+    bounds: (2, 3) lowest and highest corner. Without it the cube lies around what the cameras have in common: the
+    points (N, 3) that most of them see, or else the place where their optical axes meet; it is as wide as their pictures there.
     """
     if bounds is not None:
         low, high = np.asarray(bounds, dtype=float)
-    elif points is not None and len(points) >= 10:
-        low, high = np.percentile(np.asarray(points, dtype=float), [3, 97], axis=0)
-        low, high = low - 0.05 * (high - low).max(), high + 0.05 * (high - low).max()
-    else:
-        centres = np.array([view.camera.centre for view in views])
-        axes = np.array([view.camera.forward for view in views])
-        across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
-        middle = np.linalg.solve(across.sum(0) + 1e-6 * np.eye(3), (across @ centres[:, :, None]).sum(0)[:, 0])
-        reach = 0.6 * np.median(np.linalg.norm(centres - middle, axis=1))
-        low, high = middle - reach, middle + reach
-    if not (np.isfinite([low, high]).all() and (high >= low).all() and (high - low).max() > 0):
-        raise ValueError(f"the box of interest must have a lower and a higher corner, not {low} and {high}; give bounds=")
-    return (low + high) / 2, float((high - low).max() / 2)
+        if not (np.isfinite([low, high]).all() and (high >= low).all() and (high - low).max() > 0):
+            raise ValueError(f"bounds must be a lower and a higher corner, not {low} and {high}")
+        return (low + high) / 2, float((high - low).max() / 2)
+    cameras = [view.camera for view in views]
+    middle = _common_point(cameras, points) if points is not None and len(points) >= 10 else _focus(cameras)
+    widths = [abs(camera.depth(middle)) * camera.width / camera.K[0, 0] / 2 for camera in cameras]
+    return middle, MARGIN * float(max(np.median(widths), 1e-6))
+
+
+def _common_point(cameras, points) -> np.ndarray:
+    points = np.asarray(points, dtype=float)
+    seen_by = np.sum([camera.contains(camera.project(points)) for camera in cameras], axis=0)
+    return np.median(points[seen_by >= 0.8 * seen_by.max()], axis=0)
+
+
+def _focus(cameras) -> np.ndarray:
+    """The point nearest to all optical axes (least squares)."""
+    centres = np.array([camera.centre for camera in cameras])
+    axes = np.array([camera.forward for camera in cameras])
+    across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
+    weak = 1e-6 * np.eye(3)  # parallel axes: the point nearest to the cameras
+    return np.linalg.solve(across.sum(0) + weak, (across @ centres[:, :, None]).sum(0)[:, 0] + weak @ centres.mean(0))
 
 
 def contract(x: np.ndarray) -> np.ndarray:

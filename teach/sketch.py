@@ -99,9 +99,10 @@ class Stroke:
     def arc_length(self) -> np.ndarray:
         """(N,) arc length at each point, from 0 to 1. Raises SketchError for a stroke that does not move."""
         steps = np.linalg.norm(np.diff(self.points, axis=0), axis=1)
-        if steps.sum() <= 0:
+        along = np.concatenate([[0.0], np.cumsum(steps)])
+        if along[-1] <= 0:
             raise SketchError(f"a stroke of {len(self.points)} points does not move: draw a line")
-        return np.concatenate([[0.0], np.cumsum(steps)]) / steps.sum()
+        return along / along[-1]
 
     def at(self, fractions) -> np.ndarray:
         """Points (..., 2) [px] at fractions (...,) in [0, 1] of the arc length, linear in between."""

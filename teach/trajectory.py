@@ -39,7 +39,7 @@ class TrajectoryDistribution:
                              f"not {mean.shape} and {covariance.shape}")
         if not (np.isfinite(mean).all() and np.isfinite(covariance).all()):
             raise ValueError("a trajectory distribution's mean and covariance must be finite numbers")
-        if not np.allclose(covariance, covariance.T, rtol=1e-6, atol=1e-9 * max(np.abs(covariance).max(), 1e-300)):
+        if not np.allclose(covariance, covariance.T, rtol=0, atol=1e-6 * np.abs(covariance).max()):
             raise ValueError("a covariance must be symmetric")
         for name, array in (("mean", mean), ("covariance", (covariance + covariance.T) / 2)):
             array.setflags(write=False)

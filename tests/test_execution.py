@@ -69,6 +69,13 @@ def test_the_record_has_a_row_for_every_step_and_its_tip_is_the_arms(performed, 
     np.testing.assert_allclose(done.joints[0], chosen.joints[0], atol=1e-9)
 
 
+def test_the_hand_is_where_the_plan_has_it_at_the_same_time(performed):
+    """Against the tip that the planner stored, not against the targets that the motors were given."""
+    chosen, done = performed
+    tip = np.stack([np.interp(chosen.times, done.times, axis) for axis in done.tip.T], axis=1)
+    np.testing.assert_allclose(tip, chosen.tip, atol=1e-3)
+
+
 def test_the_film_lasts_as_long_as_the_motion_and_the_robot_moves_in_it(performed):
     _, done = performed
     assert done.frames.shape == (int(done.times[-1] * 2.0) + 1, 120, 160, 3) and done.frames.dtype == np.uint8

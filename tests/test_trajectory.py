@@ -1,0 +1,135 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from scene.camera import Camera, look_at
+from teach.basis import SquaredExponential
+from teach.sketch import Event, Sketch, Stroke
+from teach.trajectory import Skill, TrajectoryDistribution
+
+T = np.linspace(0, 1, 21)
+
+
+def distribution(rank=30, count=10, seed=0, scale=0.05):
+    rng = np.random.default_rng(seed)
+    L = scale * rng.standard_normal((3 * count, rank))
+    return TrajectoryDistribution(SquaredExponential(count), rng.standard_normal((count, 3)), L @ L.T)
+
+
+def test_samples_have_the_mean_and_covariance_that_are_stated():
+    d, rng = distribution(), np.random.default_rng(1)
+    samples = d.sample(20_000, T, rng)
+    assert samples.shape == (20_000, 21, 3)
+    deviation = np.sqrt(np.trace(d.covariance_at(T), axis1=1, axis2=2))
+    assert (np.abs(samples.mean(axis=0) - d.mean_at(T)).max(axis=1) < 0.05 * deviation).all()
+    for k in (0, 10, 20):
+        assert np.allclose(np.cov(samples[:, k].T), d.covariance_at(T)[k], atol=0.05 * deviation[k] ** 2)
+
+
+def test_features_make_the_trajectory_of_the_flattened_weights():
+    d = distribution()
+    assert np.allclose((d.features(T) @ d.mean.ravel()).reshape(-1, 3), d.mean_at(T))
+    assert np.allclose(d.features([0.3]) @ d.covariance @ d.features([0.3]).T, d.covariance_at(0.3)[0])
+
+
+def test_log_prob_is_the_normal_density():
+    d = distribution()
+    C, offset = d.covariance_at(0.4)[0], np.array([0.1, -0.2, 0.05])
+    expected = -0.5 * offset @ np.linalg.inv(C) @ offset - 0.5 * np.log(np.linalg.det(2 * np.pi * C))
+    assert np.isclose(d.log_prob([0.4], d.mean_at(0.4) + offset)[0], expected)
+
+
+def test_conditioning_is_the_closed_form():
+    d, x, R = distribution(), np.array([0.3, 0.2, 0.1]), 0.01 * np.eye(3)
+    H, S = d.features([0.3]), d.covariance
+    K = S @ H.T @ np.linalg.inv(H @ S @ H.T + R)
+    c = d.condition(0.3, x, R)
+    assert np.allclose(c.mean.ravel(), d.mean.ravel() + K @ (x - H @ d.mean.ravel()))
+    assert np.allclose(c.covariance, S - K @ H @ S)
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 1000), rank=st.sampled_from([1, 2, 5, 30]), scale=st.sampled_from([1e-3, 0.05, 3.0]))
+def test_conditioned_start_via_and_goal_are_met_exactly_even_by_a_singular_covariance(seed, rank, scale):
+    d = distribution(rank, seed=seed, scale=scale)
+    rng = np.random.default_rng(seed)
+    t, x = np.array([0.0, 0.45, 1.0]), rng.uniform(-1, 1, (3, 3))
+    c = d.condition(t, x)
+    assert np.abs(c.mean_at(t) - x).max() < 1e-8
+    assert np.abs(c.sample(20, t, rng) - x).max() < 1e-6
+    assert np.linalg.eigvalsh(c.covariance).min() > -1e-9 * scale**2
+
+
+def test_an_ill_conditioned_covariance_is_met_one_after_the_other_too():
+    basis = SquaredExponential(20)
+    d = TrajectoryDistribution(basis, np.zeros((20, 3)), np.linalg.pinv(np.kron(basis(T).T @ basis(T), np.eye(3)), rcond=1e-8) * 1e-4)
+    c = d.condition(0, [0.1, 0, 0]).condition(1, [0, 0.1, 0]).condition(0.5, [0, 0, 0.1])
+    expected = 0.1 * np.eye(3)[[0, 1, 2]]
+    assert np.abs(c.mean_at([0, 1, 0.5]) - expected).max() < 1e-6
+    assert np.abs(c.sample(10, [0, 1, 0.5], np.random.default_rng(0)) - expected).max() < 1e-6
+
+
+def test_a_condition_with_covariance_lies_between_the_distribution_and_the_point():
+    d = distribution()
+    x = d.mean_at(0.5)[0] + 0.1
+    loose, tight = (np.linalg.norm(d.condition(0.5, x, v * np.eye(3)).mean_at(0.5) - x) for v in (10.0, 1e-6))
+    assert loose > 0.9 * np.linalg.norm([0.1] * 3) and tight < 1e-3
+
+
+def test_contradicting_or_malformed_conditions_are_refused():
+    d = distribution()
+    with pytest.raises(ValueError, match="contradict"):
+        d.condition([0.5, 0.5], [[0, 0, 0], [0, 0, 1]])
+    with pytest.raises(ValueError, match="conditioned"):
+        d.condition([0.5, 0.6], [0, 0, 0])
+    with pytest.raises(ValueError, match="finite"):
+        d.condition(0.5, [0, np.nan, 0])
+
+
+def test_the_first_weight_alone_makes_the_papers_start():
+    d, x = distribution(), np.array([0.4, 0.1, 0.2])
+    c = d.with_first_weight(x)
+    assert np.allclose(c.mean_at(0)[0], x) and np.array_equal(c.mean[1:], d.mean[1:])
+    assert np.abs(c.sample(10, [0], np.random.default_rng(0)) - x).max() < 1e-6
+    W = d.sample_weights(5000, np.random.default_rng(1))  # the paper's procedure, sample by sample
+    Phi = d.basis(0)[0]
+    W[:, 0] = (x - np.einsum("m,nma->na", Phi[1:], W[:, 1:])) / Phi[0]
+    at = d.basis(0.1) @ W
+    assert np.allclose(np.cov(at[:, 0].T), c.covariance_at(0.1)[0], atol=0.1 * np.trace(c.covariance_at(0.1)[0]))
+
+
+def test_shapes_and_symmetry_are_checked():
+    basis = SquaredExponential(4)
+    with pytest.raises(ValueError, match=r"mean \(4, 3\)"):
+        TrajectoryDistribution(basis, np.zeros((3, 3)), np.eye(12))
+    with pytest.raises(ValueError, match="symmetric"):
+        TrajectoryDistribution(basis, np.zeros((4, 3)), np.triu(np.ones((12, 12))))
+    with pytest.raises(ValueError, match="finite"):
+        TrajectoryDistribution(basis, np.full((4, 3), np.nan), np.eye(12))
+
+
+def test_a_skill_is_read_back_as_it_was_saved(tmp_path):
+    camera = Camera.from_fov(look_at((0, -1, 1), (0, 0, 0)), 640, 480, 60)
+    outline = Sketch("a", camera, (Stroke([[0, 0], [1, 1]], [0, 1], kind="keep_out"),))
+    orientation = np.array([[0.0, 0, 0, 0, 1], [1.0, 1, 0, 0, 0]])
+    skill = Skill(distribution(), 2.5, (Event("gripper_close", 1.2),), orientation, (outline,), {"warnings": ["Draw again."]})
+    skill.save(tmp_path / "skill.npz")
+    back = Skill.load(tmp_path / "skill.npz")
+    assert np.array_equal(back.distribution.mean, skill.distribution.mean)
+    assert np.array_equal(back.distribution.covariance, skill.distribution.covariance)
+    assert (back.distribution.basis, back.duration, back.events) == (skill.distribution.basis, 2.5, skill.events)
+    assert np.array_equal(back.orientation, orientation) and back.report == skill.report
+    assert back.keep_out[0].strokes[0].kind == "keep_out"
+    assert [file.name for file in tmp_path.iterdir()] == ["skill.npz"]
+
+
+def test_other_files_are_not_skills(tmp_path):
+    with pytest.raises(FileNotFoundError):
+        Skill.load(tmp_path / "none.npz")
+    (tmp_path / "text.npz").write_text("not a zip file")
+    np.savez(tmp_path / "other.npz", a=1)
+    np.savez(tmp_path / "pickled.npz", text=np.array([{}], dtype=object))
+    for name in ("text.npz", "other.npz", "pickled.npz"):
+        with pytest.raises(ValueError, match="not a skill file"):
+            Skill.load(tmp_path / name)
