@@ -14,20 +14,20 @@ AXES = ("x", "y", "z")
 
 def photographs_and_cameras(views, points, colours, count: int = 8) -> Figure:
     """A few photographs, and where all of them were taken around the sparse points."""
-    figure = Figure(figsize=(11, 4.2), layout="constrained")
-    left, right = figure.subfigures(1, 2, width_ratios=[1.25, 1])
+    figure = Figure(figsize=(11, 3.6), layout="constrained")
+    left, right = figure.subfigures(1, 2, width_ratios=[1.9, 1])
     shown = [views[i] for i in np.linspace(0, len(views) - 1, min(count, len(views))).astype(int)]
     axes = left.subplots(-(-len(shown) // 4), 4, squeeze=False).ravel()
     for axis in axes:
         axis.axis("off")
-    for axis, view in zip(axes, shown):
+    for axis, view in zip(axes, shown, strict=False):
         axis.imshow(view.image)
         axis.set_title(view.name, fontsize=7)
     scene = _scene_axes(right, points, colours)
     for view in views:
         _draw_camera(scene, view.camera)
     centres = np.stack([view.camera.centre for view in views])
-    _fit_limits(scene, np.concatenate([points, centres]))
+    _fit_limits(scene, centres, margin=0.3 * np.ptp(centres, axis=0).max())
     return figure
 
 
@@ -97,6 +97,24 @@ def overlay(pages) -> Figure:
     return figure
 
 
+def overview(drawn, learned, performed) -> Figure:
+    """The idea in one row: strokes on two views, the motion in a third, the robot. drawn: (title, image, strokes) each;
+    learned: (title, image, mean, samples, strokes); performed: the last picture of the film, or None."""
+    figure, axes = _row(len(drawn) + 1 + (performed is not None))
+    for axis, (_, image, strokes) in zip(axes, drawn):
+        _picture(axis, image, "sketched")
+        for stroke in strokes:
+            axis.plot(*stroke.T, color=INK, linewidth=1.6)
+    _, image, mean, samples, _ = learned
+    _picture(axes[len(drawn)], image, "learned, in a view without strokes")
+    for sample in samples:
+        axes[len(drawn)].plot(*sample.T, color=INK, linewidth=0.8, alpha=0.6)
+    axes[len(drawn)].scatter(*mean.T, c=np.linspace(0, 1, len(mean)), cmap=TIME_COLOURS, s=5)
+    if performed is not None:
+        _picture(axes[-1], performed, "performed")
+    return figure
+
+
 def over_time(times, mean, deviation, samples) -> Figure:
     """x, y, z over normalised time with two standard deviations. times: (T,), mean: (T, 3), deviation: (T, 3) [m]."""
     figure = Figure(figsize=(11, 2.8), layout="constrained")
@@ -128,7 +146,7 @@ def checks(plan, execution=None) -> Figure:
 
 
 def _row(count: int):
-    figure = Figure(figsize=(11, 11 / count * 0.8), layout="constrained")
+    figure = Figure(figsize=(11, 11 / count * 0.75 + 0.35), layout="constrained")
     return figure, figure.subplots(1, count, squeeze=False)[0]
 
 

@@ -183,9 +183,12 @@ def plan(job: Job, out: Path) -> dict:
 
 def execute(job: Job, out: Path) -> dict:
     """PyBullet performs the plan under motor control; the world's own conditions judge it."""
+    import numpy as np
+
     from robot.execution import save_video
     from robot.planner import Plan
     from robot.world import World
+    from scene.dataset import save_image
 
     chosen = Plan.load(job.run / "plan.npz")
     if not chosen.feasible:
@@ -195,6 +198,8 @@ def execute(job: Job, out: Path) -> dict:
         performed = _setting(job, "robot.execution")(chosen, _setting(job, "robot.arm"), world)
     performed.save(out / "execution.npz")
     save_video(out / "execution.mp4", performed.frames, performed.fps)
+    shown = performed.frames[np.linspace(0, len(performed.frames) - 1, 5).astype(int)]
+    save_image(out / "filmstrip.png", np.concatenate(shown, axis=1))
     log.info("  %s", performed.sentence)
     return performed.metrics
 
@@ -210,7 +215,7 @@ STAGES = (
     Stage("fit", fit, ("skill.npz",), ("sketch",), ("teach", "seed")),
     Stage("plan", plan, ("plan.npz", "trajectory.csv", "joint_trajectory.json"), ("fit",),
           ("robot.arm", "robot.planner", "world", "seed")),
-    Stage("execute", execute, ("execution.npz", "execution.mp4"), ("plan",), ("robot.arm", "robot.execution", "world")),
+    Stage("execute", execute, ("execution.npz", "execution.mp4", "filmstrip.png"), ("plan",), ("robot.arm", "robot.execution", "world")),
 )  # fmt: skip
 NAMES = tuple(stage.name for stage in STAGES)
 

@@ -12,7 +12,8 @@ import numpy as np
 
 from conf import figures
 from conf.stages import Job
-from scene.dataset import load_frame, load_points, load_views, load_image, replacing
+from scene.dataset import load_frame, load_image, load_points, load_views
+from scene.files import replacing
 
 TIMES = np.linspace(0, 1, 100)
 SHOWN_SAMPLES = 8
@@ -135,16 +136,15 @@ def _learned(page: _Page, metrics: dict) -> list[str]:
 
     rng = np.random.default_rng(0)
     learned, start = Skill.load(page.run / "skill.npz").distribution, _start(page)
-    if start is not None:
-        conditioned = learned.condition(0.0, start)
-    else:
-        conditioned = learned
+    conditioned = learned if start is None else learned.condition(0.0, start)
     mean, samples = learned.mean_at(TIMES), learned.sample(SHOWN_SAMPLES, TIMES, rng)
     pages = [(t, image, c.project(mean), c.project(samples), strokes) for t, image, c, strokes in _drawn(page)]
     started = conditioned.sample(SHOWN_SAMPLES, TIMES, rng)
     deviation = np.sqrt(np.einsum("tii->ti", conditioned.covariance_at(TIMES)))
     parts = ["<h2>The learned motion</h2>", *_scores(metrics["teach"]), *_densities(page)]
     return parts + [
+        page.picture("overview", figures.overview([(p[0], p[1], p[4]) for p in pages[:2]], pages[-1], _last_frame(page)),
+                     "Sketched on two views, learned, performed."),
         page.picture("trajectories", figures.trajectories_3d(mean, samples, *load_points(page.capture), _performed_path(page)),
                      "Samples (red) and mean (coloured by time) in the scene."),
         page.picture("overlay", figures.overlay(pages), "Samples and mean seen by each view; dotted: the strokes."),
@@ -200,6 +200,12 @@ def _execution(page: _Page):
 def _performed_path(page: _Page):
     performed = _execution(page)
     return None if performed is None else performed.tip
+
+
+def _last_frame(page: _Page):
+    """The end of the film (H, W, 3); None where nothing was performed."""
+    strip = page.run / "filmstrip.png"
+    return np.array_split(load_image(strip), 5, axis=1)[-1] if strip.exists() else None
 
 
 def _start(page: _Page):

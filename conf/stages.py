@@ -19,6 +19,8 @@ from pathlib import Path
 from filelock import FileLock
 from omegaconf import DictConfig, OmegaConf
 
+from scene.files import replacing
+
 
 @dataclass(frozen=True)
 class Job:
@@ -143,9 +145,8 @@ def stage_hash(stage: Stage, job: Job, needed: dict[str, Record]) -> str:
 
 def write_json(path: Path, value) -> None:
     """Write whole or not at all."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    temporary.write_text(json.dumps(value, indent=1, default=float) + "\n")
-    os.replace(temporary, path)
+    with replacing(path) as temporary:
+        temporary.write_text(json.dumps(value, indent=1, default=float) + "\n", encoding="utf-8")
 
 
 def _move(source: Path, target: Path) -> None:

@@ -7,7 +7,6 @@ state and the world's own conditions, never the plan.
     goal = p_object - distance * approach / |approach|      the point before the goal's object, where that stands now
 """
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from fractions import Fraction
@@ -20,6 +19,7 @@ import numpy as np
 from robot.bullet import pybullet
 from robot.timing import motion_spline
 from scene.camera import Camera, look_at
+from scene.files import replacing
 
 STEP = 1 / 240  # s, PyBullet's own
 TOUCHING = 1e-4  # m; contacts further apart than this are warnings of Bullet's margin, not touches
@@ -32,11 +32,11 @@ UNLIMITED = 1e3  # N m or N, where the URDF allows no effort at all
 class Execution:
     """What the robot did, a row for each of N control steps; the time after the plan's end is for settling.
 
-    times (N,) [s]. joints (N, J) [rad]. names: of the joints. tip (N, 3) [m]. tip_error (N,) [m]: against the planned tip
-    at the same time. duration [s]: of the plan. touched: bodies that the robot touched, in that order, with touched_by,
-    the link that did, touched_at (C,) [s] and touch_depth (C,) [m], the deepest overlap. goal (3,) [m]: where the tip was
-    to end (nan in a world without a goal). final_error [m]: from there, or else from the plan's end. success: by the
-    world's conditions. frames (F, H, W, 3) uint8 at ``fps``: the film, not kept by ``save``.
+    times (N,) [s]. joints (N, J) [rad]. names: of the joints. tip (N, 3) [m]. tip_error (N,) [m]: against the planned
+    tip at the same time. duration [s]: of the plan. touched: bodies that the robot touched, in that order, with
+    touched_by, the link that did, touched_at (C,) [s] and touch_depth (C,) [m], the deepest overlap. goal (3,) [m]:
+    where the tip was to end (nan in a world without a goal). final_error [m]: from there, or else from the plan's
+    end. success: by the world's conditions. frames (F, H, W, 3) uint8 at ``fps``: the film, not kept by ``save``.
     """
 
     times: np.ndarray
@@ -76,8 +76,9 @@ class Execution:
             for body, link, at, depth in zip(self.touched, self.touched_by, self.touched_at, self.touch_depth)
         ]
         return (
-            f"{'success' if self.success else 'failure'}: the hand ended {numbers['final_error_mm']:.1f} mm from where it was to go "
-            f"and followed the plan within {numbers['tracking_error_mm']:.2f} mm RMS, {numbers['tracking_error_max_mm']:.2f} mm at most; "
+            f"{'success' if self.success else 'failure'}: the hand ended {numbers['final_error_mm']:.1f} mm from where "
+            f"it was to go and followed the plan within {numbers['tracking_error_mm']:.2f} mm RMS, "
+            f"{numbers['tracking_error_max_mm']:.2f} mm at most; "
             f"{'; '.join(touches) if touches else 'nothing was touched'}"
         )
 
@@ -85,12 +86,8 @@ class Execution:
         """Write all but the film to an npz file, whole or not at all."""
         values = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "frames"}
         words = {name: np.array(values[name], dtype=str) for name in ("names", "touched", "touched_by")}
-        temporary = _beside(path)
-        try:
+        with replacing(path) as temporary:
             np.savez(temporary, **values | words)
-            os.replace(temporary, path)
-        finally:
-            temporary.unlink(missing_ok=True)
 
     @classmethod
     def load(cls, path) -> "Execution":
@@ -111,8 +108,8 @@ def perform(plan, arm, world, *, camera=None, fps=12.5, width=480, height=360, s
     """The arm follows the plan among the bodies of the world, which changes by it.
 
     plan: Plan. arm: Arm. world: World, without a robot in it yet. camera: Camera that films; None stands it where the
-    world's ``film`` says, ``width`` x ``height`` [px]. fps: frames a second; 0 films nothing. settle [s]: how long the last
-    posture is held before the judge looks. Raises ValueError for a plan that is not feasible or of another arm.
+    world's ``film`` says, ``width`` x ``height`` [px]. fps: frames a second; 0 films nothing. settle [s]: how long the
+    last posture is held before the judge looks. Raises ValueError for a plan that is not feasible or of another arm.
     """
     _check(plan, arm, fps, settle)
     camera = film_camera(world.spec, width, height) if camera is None and fps else camera
@@ -135,14 +132,25 @@ def perform(plan, arm, world, *, camera=None, fps=12.5, width=480, height=360, s
     tip_error = np.linalg.norm(tip - arm.fk(wanted)[:, :3, 3], axis=1)
     verdict = judge(world, tip[-1], len(touches), planned_end=arm.fk(wanted[-1])[:3, 3])
     film = np.array(frames) if frames else NO_FILM
-    return Execution(times, joints, tuple(plan.names), tip, tip_error, duration, *_columns(touches), **verdict, fps=float(fps), frames=film)
+    return Execution(
+        times,
+        joints,
+        tuple(plan.names),
+        tip,
+        tip_error,
+        duration,
+        *_columns(touches),
+        **verdict,
+        fps=float(fps),
+        frames=film,
+    )
 
 
 def judge(world, tip, contacts: int, *, planned_end=None) -> dict:
     """By the world's own conditions, from where its things stand now: {goal, final_error, success}, see Execution.
 
-    tip (3,) [m]: where the hand is. contacts: how many bodies were touched. planned_end (3,): what counts as the goal's place
-    in a world that has none.
+    tip (3,) [m]: where the hand is. contacts: how many bodies were touched. planned_end (3,): what counts as the goal's
+    place in a world that has none.
     """
     conditions = {"reached_m": 0.05, "contacts": 0} | (world.spec.get("success") or {})
     goal = goal_point(world)
@@ -165,7 +173,11 @@ def goal_point(world) -> np.ndarray:
 
 
 def film_camera(spec: dict, width: int, height: int) -> Camera:
-    """The camera at the world's ``film``: {eye, target, fov_deg}; else aside of and above what its photographs look at."""
+    """The camera at the world's ``film``: {eye, target, fov_deg}; else beside and above what photographs look at."""
+    if not spec.get("view"):
+        raise ValueError(
+            f"world {spec['name']} says no view with a target to film; give a camera, or fps=0 for no film"
+        )
     target = np.array(spec["view"]["target"], dtype=float)
     film = spec.get("film") or {"eye": target + [0.55, -1.6, 1.15], "target": target - [0.3, 0, 0], "fov_deg": 50}
     return Camera.from_fov(look_at(film["eye"], film["target"]), width, height, film["fov_deg"])
@@ -176,8 +188,7 @@ def save_video(path, frames: Sequence[np.ndarray], fps: float) -> None:
     if len(frames) == 0:
         raise ValueError("a video needs at least one frame")
     height, width = (size - size % 2 for size in frames[0].shape[:2])  # yuv420p halves both
-    temporary = _beside(path)
-    try:
+    with replacing(path) as temporary:
         with av.open(str(temporary), "w", format="mp4", options={"movflags": "+faststart"}) as video:
             stream = video.add_stream("libx264", rate=Fraction(fps).limit_denominator(1000), options={"crf": "21", "preset": "medium"})
             stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"
@@ -185,9 +196,6 @@ def save_video(path, frames: Sequence[np.ndarray], fps: float) -> None:
                 picture = av.VideoFrame.from_ndarray(np.ascontiguousarray(frame[:height, :width]), format="rgb24")
                 video.mux(stream.encode(picture))
             video.mux(stream.encode())
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 class _Robot:
@@ -215,14 +223,17 @@ class _Robot:
     def _drive(self, joints, positions, speeds) -> None:
         for joint, position, speed in zip(joints, positions, speeds):
             self.client.setJointMotorControl2(
-                self.body, joint, pybullet.POSITION_CONTROL, targetPosition=float(position), targetVelocity=float(speed),
+                self.body, joint, pybullet.POSITION_CONTROL,
+                targetPosition=float(position), targetVelocity=float(speed),
                 positionGain=POSITION_GAIN, velocityGain=1.0, force=self.effort[joint],
             )  # fmt: skip
 
     def state(self) -> tuple[np.ndarray, np.ndarray]:
         """Joint values (J,) and the tip's place (3,) [m]."""
         joints = [state[0] for state in self.client.getJointStates(self.body, self.joints)]
-        return np.array(joints), np.array(self.client.getLinkState(self.body, self.tip, computeForwardKinematics=True)[4])
+        return np.array(joints), np.array(
+            self.client.getLinkState(self.body, self.tip, computeForwardKinematics=True)[4]
+        )
 
     def touches(self) -> list[tuple[int, str, float]]:
         """(body, link, overlap [m]) of what the robot touches now; its fixed foot may stand on something."""
@@ -251,10 +262,3 @@ def _note_touches(touches: dict, seen, world, time) -> None:
 def _columns(touches: dict):
     links, times, depths = zip(*touches.values()) if touches else ((), (), ())
     return tuple(touches), tuple(links), np.array(times, dtype=float), np.array(depths, dtype=float)
-
-
-def _beside(path) -> Path:
-    """A temporary path in the same folder, with the same ending."""
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    return path.with_name(f".{os.getpid()}.part.{path.name}")

@@ -11,8 +11,6 @@
 Likelihood is compared by the squared Mahalanobis distance to the conditioned mean, averaged over the path.
 """
 
-import os
-import tempfile
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from zipfile import BadZipFile
@@ -23,6 +21,7 @@ from scipy.interpolate import CubicSpline
 from robot.attempt import RESOLUTION, Attempt, Search, swept_refusal, title
 from robot.collision import ITSELF, WORLD, CollisionModel
 from robot.timing import motion_spline, time_path
+from scene.files import replacing
 
 POSITION_TOLERANCE = 2e-3  # m, of the timed motion against the candidate
 
@@ -85,22 +84,10 @@ class Plan:
 
     def save(self, path) -> None:
         """Write an npz file, whole or not at all."""
-        path = Path(path)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".tmp")
-        try:
-            with os.fdopen(handle, "wb") as file:
-                np.savez(
-                    file,
-                    **{
-                        f.name: np.array(getattr(self, f.name), dtype=str if f.name in ("names", "refusals") else None)
-                        for f in fields(self)
-                    },
-                )
-            os.replace(temporary, path)
-        except BaseException:
-            os.unlink(temporary)
-            raise
+        words = ("names", "refusals")
+        values = {f.name: np.array(getattr(self, f.name), dtype=str if f.name in words else None) for f in fields(self)}
+        with replacing(path) as temporary:
+            np.savez(temporary, **values)
 
     @classmethod
     def load(cls, path) -> "Plan":

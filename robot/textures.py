@@ -42,7 +42,8 @@ def wood(rng, height, width, scale, colour):
     joint = np.abs((v / 0.11) % 1 - 0.5) > 0.485
     shade = np.where(joint, 0.35, shade)
     picture = canvas(shade[..., None] * colour)
-    return scratches(rng, picture, scale, per_square_metre=45)
+    dots(rng, picture, scale, per_square_metre=380, radius=(0.001, 0.0035))  # worm holes, nail heads, stains
+    return scratches(rng, picture, scale, per_square_metre=90)
 
 
 def cardboard(rng, height, width, scale, colour):
@@ -88,9 +89,7 @@ def concrete(rng, height, width, scale, colour):
     tile = rng.uniform(0.88, 1.08, (64, 64))[(v / 0.6).astype(int) % 64, (u / 0.6).astype(int) % 64]
     joint = (np.abs((v / 0.6) % 1 - 0.5) > 0.49) | (np.abs((u / 0.6) % 1 - 0.5) > 0.49)
     picture = canvas(np.where(joint, 0.5, shade * tile)[..., None] * colour)
-    for _ in range(int(25 * height * width / scale**2)):
-        at = (int(rng.uniform(0, width)), int(rng.uniform(0, height)))
-        cv2.circle(picture, at, max(int(rng.uniform(0.003, 0.02) * scale), 1), tuple(float(c) for c in colour * rng.uniform(0.4, 1.2)), -1, cv2.LINE_AA)
+    dots(rng, picture, scale, per_square_metre=170, radius=(0.003, 0.012))
     return scratches(rng, picture, scale, per_square_metre=12)
 
 
@@ -136,6 +135,16 @@ def scratches(rng, picture, scale, per_square_metre):
         tone = mean * rng.uniform(0.35, 1.5)
         cv2.line(picture, tuple(map(int, start)), tuple(map(int, end)), tuple(map(float, tone)), 1, cv2.LINE_AA)
     return picture
+
+
+def dots(rng, picture, scale, per_square_metre, radius):
+    """Round spots, darker or lighter than the surface, with radii within ``radius`` [m]."""
+    height, width = picture.shape[:2]
+    mean = picture.mean(axis=(0, 1))
+    for _ in range(int(per_square_metre * height * width / scale**2)):
+        at = (int(rng.uniform(0, width)), int(rng.uniform(0, height)))
+        tone = mean * rng.choice([rng.uniform(0.4, 0.75), rng.uniform(0.4, 0.75), rng.uniform(1.15, 1.3)])
+        cv2.circle(picture, at, max(round(rng.uniform(*radius) * scale), 1), tuple(map(float, tone)), -1, cv2.LINE_AA)
 
 
 def prints(rng, picture, scale, ink, per_square_metre):

@@ -22,6 +22,8 @@ SUPERSAMPLING = 2  # TinyRenderer does not smooth edges: twice the pixels, avera
 HALF_PIXEL = 0.5 / SUPERSAMPLING  # TinyRenderer samples pixels at their lower left corner, not at their centre
 LIGHT = {"lightDirection": [2.0, -3.0, 6.0], "lightColor": [1, 1, 1], "lightAmbientCoeff": 0.62, "lightDiffuseCoeff": 0.45,
          "lightSpecularCoeff": 0.0}  # fmt: skip
+HINGE = 0.05  # m, how far from its middle a hinge is held
+EDGE = 0.03  # share of the depth; samples of a pixel further apart than this lie on different surfaces
 BACKDROP = (226, 228, 230)
 
 
@@ -37,7 +39,6 @@ class World:
         self.client = connect()
         self.client.setGravity(0, 0, -9.81)
         self.bodies: dict[str, int] = {}
-        self._joints: dict[str, int] = {}
         self._textured = textured
         try:
             with tempfile.TemporaryDirectory() as folder:
@@ -116,10 +117,22 @@ class World:
         self.client.changeVisualShape(body, -1, textureUniqueId=self.client.loadTexture(picture))
 
     def _join(self, joint: dict) -> None:
-        kind = {"prismatic": pybullet.JOINT_PRISMATIC, "revolute": pybullet.JOINT_POINT2POINT}[joint["type"]]
+        """A slider along the axis, or a hinge about it through the child's centre: held at two points of it. No limits."""
         parent, child = self.bodies[joint["parent"]], self.bodies[joint["child"]]
-        offset = np.subtract(*(self.client.getBasePositionAndOrientation(body)[0] for body in (child, parent)))
-        self._joints[joint["name"]] = self.client.createConstraint(parent, -1, child, -1, kind, joint["axis"], offset.tolist(), [0, 0, 0])
+        poses = [self.client.getBasePositionAndOrientation(body) for body in (parent, child)]
+        world_from_parent, world_from_child = (_rotation(quat_xyzw) for _, quat_xyzw in poses)
+        axis = np.array(joint["axis"], dtype=float) / np.linalg.norm(joint["axis"])  # in the world's frame
+        offset = world_from_parent.T @ np.subtract(poses[1][0], poses[0][0])
+        self.client.setCollisionFilterPair(parent, child, -1, -1, 0)
+        if joint["type"] == "prismatic":
+            self._constrain(pybullet.JOINT_PRISMATIC, parent, child, world_from_parent.T @ axis, offset, np.zeros(3))
+            return
+        for end in (-HINGE, HINGE):
+            along = end * axis
+            self._constrain(pybullet.JOINT_POINT2POINT, parent, child, axis, offset + world_from_parent.T @ along, world_from_child.T @ along)
+
+    def _constrain(self, kind, parent, child, axis, on_parent, on_child) -> None:
+        self.client.createConstraint(parent, -1, child, -1, kind, axis.tolist(), on_parent.tolist(), on_child.tolist())
 
     @property
     def base_from_tag(self) -> dict[int, np.ndarray]:
@@ -157,7 +170,15 @@ class World:
         image[nothing] = BACKDROP
         depth[nothing] = np.nan
         small = cv2.resize(image, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
-        return small, depth[SUPERSAMPLING // 2 :: SUPERSAMPLING, SUPERSAMPLING // 2 :: SUPERSAMPLING]
+        return small, _at_centres(depth)
+
+
+def _at_centres(depth: np.ndarray) -> np.ndarray:
+    """Depth at the pixels' centres from their samples. 1/z is linear on a plane, so its mean is exact there; the nearest at edges."""
+    height, width = (size // SUPERSAMPLING for size in depth.shape)
+    samples = depth.reshape(height, SUPERSAMPLING, width, SUPERSAMPLING).swapaxes(1, 2).reshape(height, width, -1)
+    nearest, farthest = samples.min(-1), samples.max(-1)  # nan where any sample sees nothing
+    return np.where(farthest - nearest > EDGE * nearest, nearest, 1 / (1 / samples).mean(-1))
 
 
 def skin(thing: dict, world: str) -> tuple[str, np.ndarray]:
@@ -167,6 +188,10 @@ def skin(thing: dict, world: str) -> tuple[str, np.ndarray]:
     if thing["shape"] == "box":
         return skins.box(thing["size"], kind, rng, colour)
     return skins.cylinder(thing["height"], thing["radius"], kind, rng, colour)
+
+
+def _rotation(quat_xyzw) -> np.ndarray:
+    return np.reshape(pybullet.getMatrixFromQuaternion(quat_xyzw), (3, 3))
 
 
 def tag_pose(tag: dict) -> np.ndarray:

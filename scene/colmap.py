@@ -31,12 +31,13 @@ from PIL import ExifTags, Image
 from tqdm import tqdm
 
 from scene.camera import Camera, View, invert
-from scene.dataset import FEWEST_PHOTOGRAPHS, is_rotated, load_image, replacing, save_image
+from scene.dataset import FEWEST_PHOTOGRAPHS, is_rotated, load_image, save_image
+from scene.files import replacing
 
 STRAIGHT = 0.1
 """A lens that moves no pixel by more than this [px] is taken for a pinhole, and its pictures are kept as they are."""
 
-UPSAMPLED = 1000
+UPSAMPLED = 500
 """Photographs smaller than this [px] are searched for features at twice their size."""
 
 USUAL = {"max_ratio": 0.8, "init_inliers": 60, "pose_inliers": 25, "init_angle": 12.0}
@@ -106,7 +107,7 @@ def reconstruct(
     seed: int = 0,
     camera_model: str = "SIMPLE_RADIAL",
     single_camera: bool = True,
-    features: int = 2048,
+    features: int = 4096,
     feature_size: int = 1600,
     max_size: int = 1024,
     threads: int = 1,

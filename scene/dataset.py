@@ -18,14 +18,14 @@ reconstruction's own frame.
 import json
 import os
 from collections import Counter
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from PIL import ExifTags, Image, ImageOps
 
 from scene.camera import OPENCV_FROM_OPENGL, Camera, View
+from scene.files import replacing
 
 EXTENSIONS = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp")
 INTRINSICS = ("w", "h", "fl_x", "fl_y", "cx", "cy")
@@ -108,19 +108,6 @@ def save_image(path: str | Path, image: np.ndarray):
             Image.fromarray(image).save(temporary, "JPEG", quality=98, subsampling=0)
         else:
             Image.fromarray(image).save(temporary, "PNG", compress_level=3)
-
-
-@contextmanager
-def replacing(path: str | Path) -> Iterator[Path]:
-    """A temporary path beside ``path`` to write to; moved into place at the end, removed if anything goes wrong."""
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        yield temporary
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def load_views(folder: str | Path) -> list[View]:

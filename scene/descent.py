@@ -6,10 +6,11 @@ import numpy as np
 
 from scene import kernels
 from scene.field import Field, Rays
-from scene.grid import BRICK, CHANNELS
+from scene.grid import BRICK, lengthened
 
 BETA1, BETA2 = 0.9, 0.99
 BACKGROUND_FASTER = 10
+NOISE = 0.0
 
 
 @dataclass(frozen=True)
@@ -37,22 +38,25 @@ class KernelDescent:
 
     def grown(self) -> None:
         """The field's grid has got more voxels, behind the ones it had."""
-        missing = len(self.field.grid.values) - len(self.mean)
-        more = np.zeros((missing, CHANNELS), np.float32)
-        self.mean, self.square = np.concatenate([self.mean, more]), np.concatenate([self.square, more])
-        self.gradient = np.zeros_like(self.mean)
+        count = len(self.field.grid.values)
+        self.mean, self.square = lengthened(self.mean, count), lengthened(self.square, count)
+        self.gradient = np.zeros_like(self.field.grid.values)
 
     def step(self, rays: Rays, target: np.ndarray, jitter: np.ndarray, rates: Rates, huber: float, seen: np.ndarray):
         """One step on rays and their colours (n, 3); notes the largest weight of each cell in ``seen``. Returns the MSE."""
         marched = self.field.march(rays, jitter=jitter, keep=self.keep, seen=seen, threads=self.threads)
         count = int(marched.samples[1].sum())
         self.keep = int(1.3 * count / len(target)) + 16
+        noise = np.random.default_rng(self.steps).uniform(-NOISE, NOISE, (len(target), 3)).astype(np.float32)
+        plain = marched.channels
+        marched.channels = plain.copy()
+        marched.channels[:, 1:4] += marched.through[:, None] * noise
         error = self.field.shade(marched, rays, self.threads) - target
         self.steps += 1
-        self._back(rays, marched, np.clip(error, -huber, huber) * np.float32(2 / len(error)), rates)
+        self._back(rays, marched, np.clip(error, -huber, huber) * np.float32(2 / len(error)), rates, plain, noise)
         return float(np.mean(error**2))
 
-    def _back(self, rays: Rays, marched, grad_colour: np.ndarray, rates: Rates) -> None:
+    def _back(self, rays: Rays, marched, grad_colour: np.ndarray, rates: Rates, plain, noise) -> None:
         field, n = self.field, len(grad_colour)
         grad_channels, grad_through = np.empty_like(marched.channels), np.empty_like(marched.through)
         grads = [np.zeros((self.threads, *p.shape), np.float32) for p in field.shading.parameters]
@@ -60,12 +64,13 @@ class KernelDescent:
             kernels.shade_back, n, self.threads, marched.channels, marched.through, rays.directions,
             *field.shading.parameters, grad_colour, grad_channels, grad_through, *grads,
         )  # fmt: skip
-        touched = np.zeros(len(self.mean) // BRICK**3, np.uint8)
+        grad_through += (grad_channels[:, 1:4] * noise).sum(1)
+        touched = np.zeros(len(self.mean) // BRICK**3, np.uint64)
         first, count, t, stretch, alpha, feature = marched.samples
         kernels.in_parallel(
             kernels.march_back, n, self.threads, rays.origins, rays.directions, np.float32(field.step),
             np.float32(field.step * field.scale), field.grid.sizes, field.grid.table, field.grid.starts,
-            np.float32(field.shift), np.float32(0), first, count, t, stretch, alpha, feature, marched.channels, marched.through,
+            np.float32(field.shift), np.float32(0), first, count, t, stretch, alpha, feature, plain, marched.through,
             grad_channels, grad_through, self.gradient, touched,
         )  # fmt: skip
         self._move(touched, [g.sum(0) for g in grads], rates)

@@ -33,7 +33,8 @@ class Stage:
     """What training works on from the fraction ``begin`` of its steps (or seconds) on.
 
     levels: the pyramid's, cells an axis; cells: of the occupancy grid, an axis; spacing: of samples, in voxels of the
-    finest level; shrink: how many times smaller the pictures are; prune: after so many steps, and again.
+    finest level; shrink: how many times smaller the pictures are; prune: after so many steps, and again; batch: rays a step;
+    visible: cells stay occupied if some sample in or beside them had this weight since the last pruning.
     """
 
     begin: float
@@ -42,12 +43,14 @@ class Stage:
     spacing: float
     shrink: int
     prune: int
+    batch: int
+    visible: float
 
 
 STAGES = (
-    Stage(0.0, (96,), 64, 0.6, 4, 50),
-    Stage(0.05, (96, 256), 128, 0.8, 2, 50),
-    Stage(0.2, (96, 256, 768), 256, 0.9, 1, 150),
+    Stage(0.0, (96,), 64, 0.8, 4, 100, 1024, 0.03),
+    Stage(0.1, (96, 256), 128, 0.9, 2, 100, 2048, 0.05),
+    Stage(0.25, (96, 256, 768), 256, 1.0, 1, 150, 4096, 0.1),
 )
 
 
@@ -80,12 +83,12 @@ def fit(
     bounds=None,
     deterministic: bool = False,
     stages=STAGES,
-    batch: int = 4096,
     patch: int = 2,
     rates: tuple[float, float, float, float] = (0.3, 0.02, 0.01, 0.003),
     decay: float = 0.1,
     huber: float = 0.1,
-    visible: float = 0.1,
+    thin: float = 0.02,
+    prior: float = 5.0,
     hidden: int = 32,
 ) -> Field:
     """Train a field on posed photographs.
@@ -97,12 +100,11 @@ def fit(
     training goes on; removed at the end. bounds: (2, 3) corners of the box of interest [m], else from points or cameras.
     deterministic: one thread, bit-equal results. device: "cpu", "cuda", or "auto".
 
-    batch: rays a step, in patches of patch x patch pixels. rates: of density, colour, features, network, falling to
-    ``decay`` of it. huber: the error [0..1] beyond which the loss grows only linearly. visible: cells stay
-    occupied if some sample in or beside them had this weight. hidden: width of the network.
+    patch: rays come from patches of patch x patch pixels. rates: of density, colour, features, network, falling to
+    ``decay`` of it. huber: the error [0..1] beyond which the loss grows only linearly. hidden: width of the network.
     """
     _check(views)
-    run = _resume(checkpoint, views, seed, stages) or _start(views, points, bounds, seed, hidden, deterministic, device)
+    run = _resume(checkpoint, views, seed, stages) or _start(views, points, bounds, seed, hidden, deterministic, device, thin)
     limit = steps if steps is not None else STEPS if seconds is None else None
     clock, saved = time.perf_counter() - run.seconds, time.perf_counter()
     pictures, error = None, None
@@ -112,11 +114,11 @@ def fit(
         done = max(run.step / limit if limit else 0.0, run.seconds / seconds if seconds else 0.0)
         if done >= 1:
             break
-        if _advance(run, stages, done, visible, points) or pictures is None:
+        if _advance(run, stages, done, points, prior) or pictures is None:
             stage = stages[run.stage]
             pictures = Photographs.of(views, run.field.centre, run.field.half, run.field.near, stage.shrink)
         rng = np.random.default_rng((seed, run.step))
-        rays, target = pictures.draw(rng, batch, patch)
+        rays, target = pictures.draw(rng, stages[run.stage].batch, patch)
         jitter = rng.random(len(target), np.float32)
         now = Rates(*(rate * decay**done for rate in rates))
         mse = run.descent.step(rays, target, jitter, now, huber, run.seen)
@@ -141,11 +143,11 @@ def _check(views) -> None:
         raise ValueError(f"a field needs at least two photographs, {len(views)} given")
 
 
-def _start(views, points, bounds, seed, hidden, deterministic, device) -> Training:
+def _start(views, points, bounds, seed, hidden, deterministic, device, thin) -> Training:
     if device not in ("auto", "cpu"):
         raise ValueError(f"device {device!r} is not there; use 'cpu' or 'auto'")
     centre, half = occupancy.box_of_interest(views, points, bounds)
-    thin, scale = 0.02 if points is not None else 0.1, 50.0
+    scale = 50.0
     occupied = occupancy.seen(views, centre, half, 64)
     field = Field(
         centre, half, Grid.empty(), Shading.initial(np.random.default_rng(seed), hidden), occupancy.distances(occupied),
@@ -155,7 +157,7 @@ def _start(views, points, bounds, seed, hidden, deterministic, device) -> Traini
     return Training(field, descent, occupied, np.zeros(1, np.float32))
 
 
-def _advance(run: Training, stages, done: float, visible: float, points) -> bool:
+def _advance(run: Training, stages, done: float, points, prior) -> bool:
     """Prune, and go to the next stage, when it is time. True if a stage begins."""
     due = run.step - run.pruned >= stages[run.stage].prune or run.stage < 0
     begins = due and run.stage + 1 < len(stages) and done >= stages[run.stage + 1].begin
@@ -163,7 +165,9 @@ def _advance(run: Training, stages, done: float, visible: float, points) -> bool
         return False
     if run.stage >= 0:
         n = len(run.occupied)
-        run.occupied = (run.seen > visible).reshape(n, n, n)
+        run.occupied = (run.seen > stages[run.stage].visible).reshape(n, n, n)
+        if points is not None:
+            run.occupied |= occupancy.around(_places(run, points), n)
     if begins:
         run.stage += 1
         run.occupied = occupancy.resampled(run.occupied, stages[run.stage].cells)
@@ -172,11 +176,15 @@ def _advance(run: Training, stages, done: float, visible: float, points) -> bool
     run.seen = np.zeros(run.occupied.size, np.float32)
     run.pruned = run.step
     if begins:
-        _grow(run, stages[run.stage], points)
+        _grow(run, stages[run.stage], points, prior)
     return begins
 
 
-def _grow(run: Training, stage: Stage, points) -> None:
+def _places(run: Training, points) -> np.ndarray:
+    return occupancy.contract((np.asarray(points, dtype=float) - run.field.centre) / run.field.half)
+
+
+def _grow(run: Training, stage: Stage, points, prior) -> None:
     """Add the stage's new levels; the first one starts grey, and dense where the points are."""
     grid = run.field.grid
     for size in stage.levels[len(grid.sizes) :]:
@@ -184,8 +192,7 @@ def _grow(run: Training, stage: Stage, points) -> None:
     if run.stage == 0:
         grid.values[64:, 1:4] = 0.5
         if points is not None:
-            places = occupancy.contract((np.asarray(points, dtype=float) - run.field.centre) / run.field.half)
-            grid.values[grid.rows_near(0, places), 0] = 5.0
+            grid.values[grid.rows_near(0, _places(run, points)), 0] = prior
     run.field.grid, run.field.step = grid, 4 / stage.levels[-1] * stage.spacing
     run.descent.grown()
 

@@ -49,7 +49,7 @@ class Grid:
         wanted = bricks_over(occupied, size)
         table = np.zeros(count**3, np.int32)
         table[wanted] = self.bricks + np.arange(wanted.sum())
-        values = np.concatenate([self.values, np.zeros((wanted.sum() * BRICK**3, CHANNELS), np.float32)])
+        values = lengthened(self.values, len(self.values) + int(wanted.sum()) * BRICK**3)
         return replace(
             self, sizes=np.append(self.sizes, size).astype(np.int64), table=np.concatenate([self.table, table]), values=values
         )
@@ -94,6 +94,13 @@ def bricks_over(occupied: np.ndarray, size: int) -> np.ndarray:
         spans = [np.take(wanted, np.minimum(first + k, last), axis=axis) for k in range((last - first).max() + 1)]
         wanted = np.logical_or.reduce(spans)
     return wanted.ravel()
+
+
+def lengthened(rows: np.ndarray, count: int) -> np.ndarray:
+    """``rows`` followed by zero rows, ``count`` in all; the system gives these memory only when they are first touched."""
+    longer = np.zeros((count, *rows.shape[1:]), rows.dtype)
+    longer[: len(rows)] = rows
+    return longer
 
 
 def interpolate(values: torch.Tensor, table: torch.Tensor, sizes, starts, places: torch.Tensor) -> torch.Tensor:

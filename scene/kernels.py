@@ -226,12 +226,19 @@ def march(
         out_depth[ray] = depth
 
 
+@njit(forceinline=True)
+def _mark(touched, rows):
+    """Set the bit of each voxel in its brick's 64."""
+    for row in rows:
+        touched[row >> 6] |= np.uint64(1) << np.uint64(row & 63)
+
+
 @njit(**_FAST)
 def march_back(
     first, last, thread, origins, directions, step, thickness, sizes, table, starts, shift, distortion,
     sample_first, sample_count, sample_t, sample_stretch, sample_alpha, sample_feature, out, out_through, grad_out, grad_through, gradient, touched,
 ):  # fmt: skip
-    """Backward of `march`: adds dL/d(values) to ``gradient`` and marks the bricks it wrote to in ``touched``.
+    """Backward of `march`: adds dL/d(values) to ``gradient`` and marks the voxels it wrote to in ``touched``.
 
     grad_out (n, 8), grad_through (n,): dL/d(out), dL/d(out_through). With dL/dw_i = g . f_i,
         dL/dsigma_i = step (T_{i+1} dL/dw_i - sum_{j>i} w_j dL/dw_j - T_end dL/dT_end)
@@ -294,14 +301,7 @@ def march_back(
             for level in range(sizes.shape[0]):
                 rows, weights = _corners(cx, cy, cz, sizes[level], table, starts[level])
                 _scatter(gradient, rows, weights, sample_feature, i)
-                touched[rows[0] >> 6] = 1
-                touched[rows[1] >> 6] = 1
-                touched[rows[2] >> 6] = 1
-                touched[rows[3] >> 6] = 1
-                touched[rows[4] >> 6] = 1
-                touched[rows[5] >> 6] = 1
-                touched[rows[6] >> 6] = 1
-                touched[rows[7] >> 6] = 1
+                _mark(touched, rows)
 
 
 @njit(forceinline=True, fastmath=_FAST["fastmath"], error_model="numpy")
@@ -392,28 +392,26 @@ def look_up(first, last, thread, places, sizes, table, starts, values, out):
 
 @njit(**_FAST)
 def adam(first, last, thread, values, gradient, mean, square, touched, rates, beta1, beta2, correction):
-    """One Adam step on the voxels of touched bricks that have a gradient; clears gradient and mark.
+    """One Adam step on the touched voxels (a bit for each of a brick's 64); clears gradient and marks.
 
     rates (8,): learning rate of each channel; correction: sqrt(1 - beta2^k) / (1 - beta1^k).
     """
     for brick in range(max(first, 1), last):
-        if touched[brick] == 0:
-            continue
+        marks = touched[brick]
         touched[brick] = 0
-        for v in range(brick * 64, brick * 64 + 64):
-            present = False
-            for c in range(CHANNELS):
-                present |= gradient[v, c] != 0
-            if not present:
-                continue
-            for c in range(CHANNELS):
-                g = gradient[v, c]
-                gradient[v, c] = 0.0
-                m = beta1 * mean[v, c] + (np.float32(1.0) - beta1) * g
-                s = beta2 * square[v, c] + (np.float32(1.0) - beta2) * g * g
-                mean[v, c] = m
-                square[v, c] = s
-                values[v, c] -= rates[c] * correction * m / (np.sqrt(s) + np.float32(1e-15))
+        v = brick * 64
+        while marks != 0:
+            if marks & np.uint64(1):
+                for c in range(CHANNELS):
+                    g = gradient[v, c]
+                    gradient[v, c] = 0.0
+                    m = beta1 * mean[v, c] + (np.float32(1.0) - beta1) * g
+                    s = beta2 * square[v, c] + (np.float32(1.0) - beta2) * g * g
+                    mean[v, c] = m
+                    square[v, c] = s
+                    values[v, c] -= rates[c] * correction * m / (np.sqrt(s) + np.float32(1e-15))
+            marks >>= np.uint64(1)
+            v += 1
 
 
 @njit(**_FAST)

@@ -72,6 +72,13 @@ def seen(views, centre, half: float, n: int, least: int = 2) -> np.ndarray:
     return dilated((count >= min(least, len(views))).reshape(n, n, n))
 
 
+def around(places: np.ndarray, n: int) -> np.ndarray:
+    """Cells that hold one of the contracted places (m, 3)."""
+    occupied = np.zeros((n, n, n), bool)
+    occupied[tuple(np.clip(((places + 2) * (n / 4)).astype(int), 0, n - 1).T)] = True
+    return occupied
+
+
 def dilated(occupied: np.ndarray, cells: int = 1) -> np.ndarray:
     """Occupied cells and all within ``cells`` of them (L-inf)."""
     for axis in range(3):

@@ -1,20 +1,21 @@
 """Common time: which points of different strokes show the same moment of the motion.
 
 Notation
-    s        arc length along a stroke over its whole, in [0, 1], measured with a ruler: along chords of one ruler's length, so
-             that a hand's trembling, which adds length where it draws slowly, adds none
+    s        arc length along a stroke over its whole, in [0, 1], measured with a ruler: along chords of one ruler's
+             length, so that a hand's trembling, which adds length where it draws slowly, adds none
     z_v(s)   mean stroke of view v [px]
     l(u)     lag: z_1(u - l / 2) and z_2(u + l / 2) show the same moment; a Gaussian process that is 0 at both ends
-    e(u)     their signed Sampson distance [px] to the epipolar geometry of the cameras (Hartley and Zisserman 2004, eq. 11.9)
+    e(u)     their signed Sampson distance [px] to the cameras' epipolar geometry (Hartley and Zisserman 2004, eq. 11.9)
 
-A line that runs towards one camera is short in its view and long in the other's: equal arc length is not the same moment then.
-"aligned" takes t = u with the most probable lag,
+A line that runs towards one camera is short in its view and long in the other's: equal arc length is not the same
+moment then. "aligned" takes t = u with the most probable lag,
 
     min_l  e(l)^T E^-1 e(l) + l^T L^-1 l         E covariance of a hand's smooth faults, L of the lag
 
-by Gauss-Newton from l = 0. How large E is, the strokes tell by how they differ within a view, up to a factor; that factor and how
-large L is are those of the highest evidence N(e - (de/dl) l; 0, E + (de/dl) L (de/dl)^T). Where a stroke runs along epipolar lines
-e hardly depends on l, and the lag stays with the prior: equal arc length where geometry is silent.
+by Gauss-Newton from l = 0. How large E is, the strokes tell by how they differ within a view, up to a factor; that
+factor and how large L is are those of the highest evidence N(e - (de/dl) l; 0, E + (de/dl) L (de/dl)^T). Where a stroke
+runs along epipolar lines e hardly depends on l, and the lag stays with the prior: equal arc length where geometry is
+silent.
 """
 
 from collections.abc import Sequence
@@ -32,13 +33,16 @@ COUNT = 100
 LAGS, LAG_LENGTH = (0.01, 0.02, 0.04, 0.08, 0.16), 0.2
 """Standard deviations of the lag to choose from and its correlation length, both of the whole arc length."""
 FACTORS, FACTOR_SPREAD = (1.0, 2.0, 4.0), 0.7
-"""Times that the faults of views vary more than the few strokes within them, to choose from; prior spread of its logarithm."""
+"""Times that the faults of views vary more than the few strokes within them, to choose from; prior spread of its
+logarithm."""
 FAULT, FAULT_LENGTH = 0.03, 0.13
-"""A single stroke's RMS fault over its diagonal, where there is no second to tell, and the correlation length of all faults."""
+"""A single stroke's RMS fault over its diagonal, where there is no second to tell, and the correlation length of all
+faults."""
 
 
 def common_times(sketches: Sequence[Sketch], time: str) -> list[list[np.ndarray]]:
-    """For each motion stroke of each sketch the times (N,) in [0, 1] of its points. time: one of COMMON. Raises SketchError."""
+    """For each motion stroke of each sketch the times (N,) in [0, 1] of its points. time: one of COMMON. Raises
+    SketchError."""
     if time not in COMMON:
         raise ValueError(f"time is one of {', '.join(COMMON)}, not {time!r}")
     if time == "drawn":
@@ -82,7 +86,10 @@ def view_times(sketches: Sequence[Sketch], along) -> np.ndarray:
         for sketch, view in zip(sketches, along, strict=True)
     ]
     s, cameras = np.linspace(0, 1, COUNT), [sketch.camera for sketch in sketches]
-    other = [np.interp(s, *correspondence(views[0], view, cameras[0], camera)) for view, camera in zip(views[1:], cameras[1:])]
+    other = [
+        np.interp(s, *correspondence(views[0], view, cameras[0], camera))
+        for view, camera in zip(views[1:], cameras[1:], strict=True)
+    ]
     first = np.mean([(s + b) / 2 for b in other], axis=0)
     return np.stack([first, *[np.interp(s, b, first) for b in other]])
 
@@ -99,8 +106,11 @@ def correspondence(strokes_a, strokes_b, camera_a: Camera, camera_b: Camera) -> 
     variance += _variance_of_mean([sampson(a, stroke, F) for stroke in strokes_b], b)
     E = variance * (_kernel(u, FAULT_LENGTH) + 0.05 * np.eye(len(u)))
     L = _pinned(_kernel(u, LAG_LENGTH))
-    options = [_most_probable_lag(distance, factor * E, size**2 * L, -0.5 * (np.log(factor / FACTORS[0]) / FACTOR_SPREAD) ** 2)
-               for size in LAGS for factor in FACTORS]
+    options = [
+        _most_probable_lag(distance, factor * E, size**2 * L, -0.5 * (np.log(factor) / FACTOR_SPREAD) ** 2)
+        for size in LAGS
+        for factor in FACTORS
+    ]
     lag = max(options, key=lambda option: option[0])[1]
     return _monotone(u - lag / 2), _monotone(u + lag / 2)
 
@@ -140,7 +150,8 @@ def fundamental(camera_a: Camera, camera_b: Camera) -> np.ndarray:
 
 
 def sampson(a, b, F) -> np.ndarray:
-    """Signed Sampson distance (N,) [px] of pixels a and b (N, 2): to first order how far all four numbers must move, RSS."""
+    """Signed Sampson distance (N,) [px] of pixels a and b (N, 2): to first order how far all four numbers must move,
+    RSS."""
     a, b = (np.column_stack([x, np.ones(len(x))]) for x in (a, b))
     lines_b, lines_a = a @ F.T, b @ F  # epipolar lines of a in the picture of b, and of b in the picture of a
     gradient = np.sqrt((lines_b[:, :2] ** 2).sum(-1) + (lines_a[:, :2] ** 2).sum(-1))
@@ -148,11 +159,12 @@ def sampson(a, b, F) -> np.ndarray:
 
 
 def _variance_of_mean(distances, mean) -> float:
-    """Variance [px^2] of the mean of a view's strokes across epipolar lines, from their Sampson distances (S, N) [px]."""
+    """Variance [px^2] of the mean of a view's strokes across epipolar lines, from their Sampson distances (S, N)
+    [px]."""
     guess = FAULT**2 * (np.ptp(mean, axis=0) ** 2).sum() / 2
     if len(distances) == 1:
         return max(guess, 1e-6)
-    return max(np.var(distances, axis=0, ddof=1).mean() / len(distances), 0.01 * guess, 1e-6)
+    return max(np.var(distances, axis=0, ddof=1).mean() / len(distances), 1e-4 * guess, 1e-6)
 
 
 def _at(curve, fractions) -> np.ndarray:
@@ -173,7 +185,9 @@ def _pinned(K) -> np.ndarray:
 
 
 def _monotone(fractions) -> np.ndarray:
-    return np.clip(np.maximum.accumulate(fractions), 0.0, 1.0)
+    """Fractions (N,) that do not decrease, from 0 to 1."""
+    fractions = np.clip(np.maximum.accumulate(fractions), 0.0, 1.0)
+    return np.concatenate([[0.0], fractions[1:-1], [1.0]])
 
 
 def _chords(points, ruler: float) -> list[int]:

@@ -13,7 +13,8 @@ import numpy as np
 class SquaredExponential:
     """phi_i(t) = exp(-gamma (t - t_i)^2), centres t_i evenly in [0, 1] (Zhi et al. 2023, Section IV-B; not normalised).
 
-    count: M, the number of functions. gamma: sharpness [1 / time^2], smaller is smoother; the width is 1 / sqrt(2 gamma).
+    count: M, the number of functions. gamma: sharpness [1 / time^2], smaller is smoother; the width is 1 / sqrt(2
+    gamma).
     """
 
     count: int = 20

@@ -3,12 +3,12 @@
 Notation
     y = (x, y)        picture coordinates in [0, 1]: pixels over the picture's width and height
     t                 normalised time in [0, 1]; p(t) is uniform
-    u = (y - c(t)) / s    inputs of the conditional flow: deviation from the mean stroke c(t), over its RMS s, so of order one
-    z = g(u; t)       the flow; z ~ N(0, I), and log p(y | t) = log N(g(u; t)) + log |det dg/du| - log |det s|      eq. (1)
+    u = (y - c(t)) / s    inputs of the conditional flow: deviation from the mean stroke c(t) over its RMS s
+    z = g(u; t)       the flow; z ~ N(0, I), and log p(y | t) = log N(g(u; t)) + log |det dg/du| - log |det s|  eq. (1)
 
-Both flows are trained on strokes with Gaussian noise added afresh at every step, or the density would collapse onto the few
-strokes there are. Trained to its end such a flow is the kernel density estimate whose bandwidth is the noise, so the noise that
-predicts a stroke left out best is known in advance: that is what ``noise=None`` takes.
+Both flows are trained on strokes with Gaussian noise added afresh at every step, or the density would collapse onto the
+few strokes there are. Trained to its end such a flow is the kernel density estimate whose bandwidth is the noise, so
+the noise that predicts a stroke left out best is known in advance: that is what ``noise=None`` takes.
 """
 
 from dataclasses import dataclass
@@ -38,7 +38,7 @@ class ConditionalDensity:
         t = np.broadcast_to(np.asarray(t, dtype=float), points.shape[:-1])
         u = (points / self.size - _interpolate(t, self.times, self.centre)) / self.scale
         with torch.no_grad():
-            context = _context(torch.as_tensor(t.ravel(), dtype=torch.float32))
+            context = _context(torch.tensor(t.ravel(), dtype=torch.float32))
             log_prob = self.flow(context).log_prob(torch.as_tensor(u.reshape(-1, 2), dtype=torch.float32))
         return log_prob.numpy().astype(float).reshape(t.shape) - np.log(self.scale * self.size).sum()
 
@@ -55,10 +55,10 @@ class ConditionalDensity:
 class Flow:
     """A conditional normalizing flow p(x, y | t) per view; ``fit`` trains it.
 
-    hidden: width of its two hidden layers. transforms: autoregressive affine transforms in a row. steps: most training steps.
-    noise: standard deviation of the injected noise [fraction of the picture's size]; None chooses it by the likelihood of a
-    stroke left out. learning_rate: of Adam. patience: training ends when the held-out likelihood has not risen for so many
-    steps. points: along each stroke, at equal steps of time. batch: points a training step sees.
+    hidden: width of its two hidden layers. transforms: autoregressive affine transforms in a row. steps: most training
+    steps. noise: standard deviation of the injected noise [fraction of the picture's size]; None chooses it by the
+    likelihood of a stroke left out. learning_rate: of Adam. patience: training ends when the held-out likelihood has
+    not risen for so many steps. points: along each stroke, at equal steps of time. batch: points a training step sees.
     """
 
     hidden: int = 48
@@ -80,10 +80,10 @@ class Flow:
         scale = np.sqrt(((y - centre) ** 2).mean(axis=(0, 1)) + noise**2)
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
-            flow = zuko.flows.MAF(2, _context(torch.zeros(1)).shape[-1], transforms=self.transforms, hidden_features=[self.hidden] * 2)
-            with torch.no_grad():  # start from the Gaussian tube: the flow's last layers at nearly zero are the identity
+            flow = zuko.flows.MAF(2, CONTEXT, transforms=self.transforms, hidden_features=[self.hidden] * 2)
+            with torch.no_grad():  # start from the Gaussian tube: last layers of nearly zero make the identity
                 for name, parameter in flow.named_parameters():
-                    if name.split(".")[-2] == "4":
+                    if name.split(".")[-2] == "4":  # linear, ReLU, linear, ReLU, linear
                         parameter.mul_(0.01)
             u = torch.as_tensor((y - centre) / scale, dtype=torch.float32).reshape(-1, 2)
             context = _context(torch.as_tensor(np.tile(t, len(y)), dtype=torch.float32))
@@ -106,7 +106,8 @@ class JointDensity:
         """log p(t, x, y) - log p(t) [log 1/px^2] at points (..., 2) [px] and times t that broadcast against (...,)."""
         points = np.asarray(points, dtype=float)
         t = np.broadcast_to(np.asarray(t, dtype=float), points.shape[:-1])
-        y = torch.as_tensor(np.concatenate([t[..., None], points / self.size], axis=-1).reshape(-1, 3), dtype=torch.float32)
+        y = np.concatenate([t[..., None], points / self.size], axis=-1).reshape(-1, 3)
+        y = torch.as_tensor(y, dtype=torch.float32)
         with torch.no_grad():
             log_prob = torch.cat([self.flow().log_prob((part - self.shift) / self.scale) for part in y.split(20_000)])
         return log_prob.numpy().astype(float).reshape(t.shape) - float(self.scale.log().sum()) - np.log(self.size).sum()
@@ -128,9 +129,10 @@ class JointDensity:
 class JointFlow:
     """The paper's flow over (t, x, y) jointly: affine couplings (RealNVP). The defaults are the authors' public code's.
 
-    hidden: width of the one hidden layer. transforms: couplings. steps: most training steps (one sees every point). noise:
-    standard deviation of the noise injected into (t, x, y) in [0, 1]. learning_rate, weight_decay: of Adam. patience: ends
-    training when the held-out likelihood has not risen for so many steps (as many as ``steps``: never). points: along a stroke.
+    hidden: width of the one hidden layer. transforms: couplings. steps: most training steps (one sees every point).
+    noise: standard deviation of the noise injected into (t, x, y) in [0, 1]. learning_rate, weight_decay: of Adam.
+    patience: ends training when the held-out likelihood has not risen for so many steps (as many as ``steps``: never).
+    points: along a stroke.
     """
 
     hidden: int = 512
@@ -154,12 +156,13 @@ class JointFlow:
             torch.manual_seed(seed)
             flow = zuko.flows.RealNVP(3, transforms=self.transforms, hidden_features=[self.hidden])
             log_prob = lambda batch, noise: flow().log_prob((y[batch] + self.noise * noise - shift) / scale)
-            _train(flow, log_prob, y.shape, self)
+            _train(flow, log_prob, y.shape, self, self.weight_decay)
         return JointDensity(flow, shift, scale, size, self.noise)
 
 
 def left_out_noise(strokes: np.ndarray) -> float:
-    """The kernel bandwidth in NOISES under which strokes (S, N, 2), each left out in turn, are most likely given the others.
+    """The kernel bandwidth in NOISES under which strokes (S, N, 2), each left out in turn, are most likely given the
+    others.
 
     With one stroke there is nothing to leave out: a hundredth of the picture.
     """
@@ -171,16 +174,16 @@ def left_out_noise(strokes: np.ndarray) -> float:
     return float(NOISES[int(np.argmax(likelihood))])
 
 
-def _train(flow, log_prob, shape, settings) -> None:
+def _train(flow, log_prob, shape, settings, weight_decay: float = 0.0) -> None:
     """Maximise the mean of ``log_prob(batch, noise)`` with Adam; keep the weights of the best held-out likelihood.
 
-    Held out is a tenth of the points, in both halves of training the same, with noise drawn once (several times each).
+    Held out is a tenth of the points, each with four draws of noise, the same at every look.
     """
     count, dimension = shape
     order = torch.randperm(count)
     held, kept = order[: max(count // 10, 1)].repeat(4), order[count // 10 :]
     held_noise = torch.randn(len(held), dimension)
-    adam = torch.optim.Adam(flow.parameters(), settings.learning_rate, weight_decay=getattr(settings, "weight_decay", 0.0))
+    adam = torch.optim.Adam(flow.parameters(), settings.learning_rate, weight_decay=weight_decay)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(adam, settings.steps)
     best, best_step, best_state = -np.inf, 0, None
     for step in range(settings.steps):
@@ -204,8 +207,11 @@ def _train(flow, log_prob, shape, settings) -> None:
     flow.load_state_dict(best_state)
 
 
+CONTEXT = 9
+
+
 def _context(t: torch.Tensor) -> torch.Tensor:
-    """Features (..., 9) of times t (...,): t and four harmonics, so that a small network follows quick changes."""
+    """Features (..., CONTEXT) of times t (...,): t and four harmonics, so that a small net follows quick changes."""
     waves = torch.pi * t[..., None] * torch.arange(1, 5)
     return torch.cat([2 * t[..., None] - 1, torch.sin(waves), torch.cos(waves)], dim=-1)
 

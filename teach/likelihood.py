@@ -4,18 +4,19 @@ Notation
     (t_n, X_n, a_n)      points X_n [m] where rays meet at time t_n, and their weights a_n
     M (M, 3)             mean of the weights; Lambda (M, 3) their variances where they are taken as independent
     p(xi | t) = N(M^T Phi(t), Diag(Lambda^T Phi(t)^2))
-    r_i = H_v d_i + e    a stroke's residual in view v [px]: d_i ~ N(0, S) its own deviation in weights, H_v the camera's
-                         Jacobian times Psi(t)^T, e ~ N(0, sigma^2 I) what the basis does not express
+    r_i = H_v d_i + e    a stroke's residual in view v [px]: d_i ~ N(0, S) its own deviation in weights, H_v the
+                         camera's Jacobian times Psi(t)^T, e ~ N(0, sigma^2 I) what the basis does not express
 
-A density p(x, y | t) of each time says nothing of how far a stroke that starts high also ends high. The strokes do: each is one
-whole trajectory seen in two of three dimensions, and S is what explains them all. Its prior is a hand's: an offset, a size and a
-smooth deviation, in the proportions measured on letters people drew.
+A density p(x, y | t) of each time says nothing of how far a stroke that starts high also ends high. The strokes do:
+each is one whole trajectory seen in two of three dimensions, and S is what explains them all. Its prior is a hand's: an
+offset, a size and a smooth deviation, in the proportions measured on letters people drew.
 """
 
 import numpy as np
 
 OFFSET, SIZE, SMOOTH = 0.03, 0.045, 0.038
-"""How a person's repetitions of a drawing differ, RMS: of the motion's extent, the size of its own. Only proportions count."""
+"""How a person's repetitions of a drawing differ, RMS: of the motion's extent, the size of its own. Only proportions
+count."""
 SMOOTH_LENGTH = 0.13
 """Correlation length of the smooth deviation in normalised time."""
 
@@ -39,7 +40,8 @@ def projection(basis, t, weights, smoothness: float) -> np.ndarray:
 
 
 def moments_over_time(times, points, weights, grid):
-    """Weighted mean (T, 3) and variance (T, 3) of the points at each time of ``grid`` (T,), and which of them have any (T,)."""
+    """Weighted mean (T, 3) and variance (T, 3) of the points at each time of ``grid`` (T,), and which of them have any
+    (T,)."""
     index = np.searchsorted(grid, times)
     mass = np.bincount(index, weights, len(grid))
     seen = mass > 0
@@ -70,7 +72,8 @@ def fit_diagonal(basis, t, squares, steps: int = 2000) -> np.ndarray:
 
 
 def hand_prior(basis, mean, smoothness: float, count: int = 100) -> np.ndarray:
-    """(3M, 3M) covariance [m^2] of a hand's repetitions of the motion with ``mean`` (M, 3), with the size of OFFSET, ..."""
+    """(3M, 3M) covariance [m^2] of a hand's repetitions of the motion with ``mean`` (M, 3), with the size of OFFSET,
+    ..."""
     t = np.linspace(0, 1, count)
     x = basis(t) @ mean
     x = x - x.mean(axis=0)
@@ -87,8 +90,9 @@ def hand_prior(basis, mean, smoothness: float, count: int = 100) -> np.ndarray:
 def fit_coherent(observations, prior, strength: float, steps: int = 30) -> np.ndarray:
     """S (3M, 3M) [m^2] by EM, the most probable under an inverse Wishart prior worth ``strength`` strokes.
 
-    observations: for each view H (2T, 3M) [px/m] and the residuals (n, 2T) [px] of its strokes from their mean. prior: (3M, 3M)
-    [m^2], whose scale is set by the residuals' moments first. n strokes around their own mean vary by (n - 1) / n only.
+    observations: for each view H (2T, 3M) [px/m] and the residuals (n, 2T) [px] of its strokes from their mean. prior:
+    (3M, 3M) [m^2], whose scale is set by the residuals' moments first. n strokes around their own mean vary by (n - 1)
+    / n only.
     """
     observations = [(H, r * np.sqrt(len(r) / (len(r) - 1))) for H, r in observations if len(r) > 1]
     if not observations:

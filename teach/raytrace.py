@@ -1,8 +1,8 @@
 """Algorithm 1: where the rays of high density in two views meet (Zhi et al. 2023, Section IV-B).
 
 Notation
-    f_r(d, x, y) = o + d omega(x, y)      the ray through pixel (x, y): o the camera's centre, omega a unit vector, d in metres
-    p_j(t)                                density of a pixel of view j at time t over the highest at that time, so in [0, 1]
+    f_r(d, x, y) = o + d omega(x, y)    the ray through pixel (x, y): o the camera's centre, omega a unit vector, d [m]
+    p_j(t)                              density of a pixel of view j at time t over the highest at that time: in [0, 1]
     R_j(t) = {f_r(d, x, y) : d_near <= d <= d_far, p_j(t) >= epsilon}
     S = {(t, X)}                          points X where R_1(t) and R_2(t) come closer than delta; each weighs p_1 p_2
 """
@@ -20,8 +20,8 @@ from scene.camera import Camera, ray_distance
 class Intersections:
     """Points where rays meet.
 
-    grid: (T,) the times that were looked at, in [0, 1]. counts: (T,) intersections found at each, 0 included. times: (N,) of
-    the points kept, points: (N, 3) [m], weights: (N,) in (0, 1].
+    grid: (T,) the times that were looked at, in [0, 1]. counts: (T,) intersections found at each, 0 included. times:
+    (N,) of the points kept, points: (N, 3) [m], weights: (N,) in (0, 1].
     """
 
     grid: Float[np.ndarray, " T"]
@@ -35,14 +35,15 @@ class Intersections:
 class Algorithm1:
     """The paper's Algorithm 1 for a pair of views. Called with two densities and their cameras, returns Intersections.
 
-    grid: points per side of the grid on which densities are evaluated. adaptive: the grid spans the support of the density at
-    each time (a box around draws of it), so that a thin density is not missed; False: the whole picture, as in the paper.
-    times: number of times, evenly in [0, 1]. samples: points along each ray between near and far, as in the paper; None: their
-    limit of infinitely many, closest approaches of rays in closed form. epsilon: a pixel counts from this fraction of the
-    time's highest density on. delta: largest distance of two rays that meet [m]; None: at each time the gap between the densest
-    rays of the views and the width of a grid cell, added, so that views that disagree by that much still meet half-way.
-    near, far: bounds of the distance along rays [m]; None: half and twice what the densest rays' closest approaches span.
-    pixels: most pixels per view and time, points: most intersections kept per time; above it, they are thinned evenly.
+    grid: points per side of the grid on which densities are evaluated. adaptive: the grid spans the support of the
+    density at each time (a box around draws of it), so that a thin density is not missed; False: the whole picture, as
+    in the paper. times: number of times, evenly in [0, 1]. samples: points along each ray between near and far, as in
+    the paper; None: their limit of infinitely many, closest approaches of rays in closed form. epsilon: a pixel counts
+    from this fraction of the time's highest density on. delta: largest distance of two rays that meet [m]; None: at
+    each time the gap between the densest rays of the views and the width of a grid cell, added, so that views that
+    disagree by that much still meet half-way. near, far: bounds of the distance along rays [m]; None: half and twice
+    what the densest rays' closest approaches span. pixels: most pixels per view and time, points: most intersections
+    kept per time; above it, they are thinned evenly.
     """
 
     grid: int = 32
@@ -57,7 +58,8 @@ class Algorithm1:
     points: int = 1000
 
     def __call__(self, densities, cameras: tuple[Camera, Camera], *, seed: int = 0) -> Intersections:
-        """densities: two objects with log_prob(t, px) and sample(n, t, rng). The seed is of the draws that place the grid."""
+        """densities: two objects with log_prob(t, px) and sample(n, t, rng). The seed is of the draws that place the
+        grid."""
         t = np.linspace(0, 1, self.times)
         rng = np.random.default_rng(seed)
         regions = [self._regions(density, camera, t, rng) for density, camera in zip(densities, cameras, strict=True)]
@@ -65,9 +67,11 @@ class Algorithm1:
         meet = self._closed_form if self.samples is None else self._sampled
         found = [meet(*pair, cameras, delta, near, far) for *pair, delta in zip(*regions, gaps, strict=True)]
         counts = np.array([len(weights) for _, weights in found])
-        thinned = [(X[:: self._stride(len(X))], w[:: self._stride(len(X))]) for X, w in found]
-        times = np.repeat(t, [len(w) for _, w in thinned])
-        return Intersections(t, counts, times, np.concatenate([X for X, _ in thinned]), np.concatenate([w for _, w in thinned]))
+        strides = [-(-count // self.points) or 1 for count in counts]
+        points = [X[::stride] for (X, _), stride in zip(found, strides, strict=True)]
+        weights = [w[::stride] for (_, w), stride in zip(found, strides, strict=True)]
+        times = np.repeat(t, [len(w) for w in weights])
+        return Intersections(t, counts, times, np.concatenate(points), np.concatenate(weights))
 
     def _regions(self, density, camera: Camera, t, rng) -> list[tuple[np.ndarray, np.ndarray, float]]:
         """At each time the pixels (K, 2) of density above epsilon, that density (K,), and the grid's spacing [px]."""
@@ -80,7 +84,8 @@ class Algorithm1:
         log_prob = density.log_prob(t[:, None], pixels)
         p = np.exp(log_prob - log_prob.max(axis=1, keepdims=True))
         spacing = (high - low).max(axis=1) / self.grid
-        return [self._thin(pixels[i][p[i] >= self.epsilon], p[i][p[i] >= self.epsilon], spacing[i]) for i in range(len(t))]
+        dense = p >= self.epsilon
+        return [self._thin(pixels[i][dense[i]], p[i][dense[i]], spacing[i]) for i in range(len(t))]
 
     def _thin(self, pixels, p, spacing):
         """At most ``self.pixels`` of them, the densest always among them."""
@@ -114,12 +119,14 @@ class Algorithm1:
         """Midpoints (N, 3) of the closest approaches of all pairs of rays within delta, and p_1 p_2 (N,)."""
         (oa, da), (ob, db) = cameras[0].rays(a[0][:, None]), cameras[1].rays(b[0][None])
         along_a, along_b, gap = ray_distance(oa, da, ob, db)  # all (Ka, Kb)
-        i, j = np.nonzero((gap < delta) & (np.minimum(along_a, along_b) >= near) & (np.maximum(along_a, along_b) <= far))
+        between = (np.minimum(along_a, along_b) >= near) & (np.maximum(along_a, along_b) <= far)
+        i, j = np.nonzero((gap < delta) & between)
         X = (oa[i, 0] + along_a[i, j, None] * da[i, 0] + ob[0, j] + along_b[i, j, None] * db[0, j]) / 2
         return X, a[1][i] * b[1][j]
 
     def _sampled(self, a, b, cameras, delta, near, far):
-        """The paper's: samples along rays whose nearest sample of the other view is within delta, both kept; p_1 p_2."""
+        """The paper's: samples along rays whose nearest sample of the other view is within delta, both kept; p_1
+        p_2."""
         d = np.linspace(near, far, self.samples)
         X, p = [], []
         for camera, (pixels, density, _) in zip(cameras, (a, b), strict=True):
@@ -133,6 +140,3 @@ class Algorithm1:
             kept.append(X[one][meets])
             weights.append(p[one][meets] * p[other][nearest[meets]])
         return np.concatenate(kept), np.concatenate(weights)
-
-    def _stride(self, count: int) -> int:
-        return -(-count // self.points) or 1

@@ -39,15 +39,16 @@ def fit(
 ) -> Skill:
     """Learn the motion that the sketches draw.
 
-    density: Flow(), or JointFlow() as the paper has it. raytrace: Algorithm1(). basis: SquaredExponential(). time: what is common
-    to strokes: "aligned" (epipolar geometry), "arc_length" or the "drawn" time of each, normalised. covariance: "coherent" (full, of whole strokes) or
-    "diagonal" (the paper's independent weights). smoothness: penalty of the mean's integrated squared acceleration, against its
-    squared error. strength: number of strokes that the coherent covariance's prior is worth. Raises SketchError.
+    density: Flow(), or JointFlow() as the paper has it. raytrace: Algorithm1(). basis: SquaredExponential(). time: what
+    is common to strokes: "aligned" (epipolar geometry), "arc_length" or the "drawn" time of each, normalised.
+    covariance: "coherent" (full, of whole strokes) or "diagonal" (the paper's independent weights). smoothness: penalty
+    of the mean's integrated squared acceleration, against its squared error. strength: number of strokes that the
+    coherent covariance's prior is worth. Raises SketchError.
     """
     started = clock.perf_counter()
     density, raytrace, basis = density or Flow(), raytrace or Algorithm1(), basis or SquaredExponential()
-    if covariance not in COVARIANCES:
-        raise ValueError(f"covariance is one of {', '.join(COVARIANCES)}, not {covariance!r}")
+    if covariance not in ("coherent", "diagonal"):
+        raise ValueError(f"covariance is 'coherent' or 'diagonal', not {covariance!r}")
     check(sketches)
     drawn = [sketch for sketch in sketches if sketch.motions]
     cameras = [sketch.camera for sketch in drawn]
@@ -57,10 +58,17 @@ def fit(
         for sketch, view in zip(drawn, times, strict=True)
     ]
     with _one_thread():
-        densities = [density.fit(s, (c.width, c.height), seed=seed + i) for i, (s, c) in enumerate(zip(strokes, cameras))]
-        met = [raytrace([densities[i], densities[j]], [cameras[i], cameras[j]], seed=seed) for i, j in combinations(range(len(drawn)), 2)]
+        densities = [
+            density.fit(view, (camera.width, camera.height), seed=seed + number)
+            for number, (view, camera) in enumerate(zip(strokes, cameras, strict=True))
+        ]
+        pairs = combinations(zip(densities, cameras, strict=True), 2)
+        met = [raytrace((p_a, p_b), (camera_a, camera_b), seed=seed) for (p_a, camera_a), (p_b, camera_b) in pairs]
     mean, grid, variance = _mean(basis, met, smoothness)
-    S = COVARIANCES[covariance](basis, mean, grid, variance, strokes, cameras, smoothness, strength)
+    if covariance == "diagonal":
+        S = np.diag(fit_diagonal(basis, grid, variance).ravel())
+    else:
+        S = fit_coherent(_observations(basis, mean, strokes, cameras), hand_prior(basis, mean, smoothness), strength)
     report = _report(drawn, strokes, densities, met, basis, mean)
     report["seconds"] = clock.perf_counter() - started
     duration = max(float(np.median([stroke.duration for sketch in drawn for stroke in sketch.motions])), 0.1)
@@ -69,12 +77,14 @@ def fit(
         for sketch in sketches
         if (outlines := tuple(stroke for stroke in sketch.strokes if stroke.kind == "keep_out"))
     )
-    return Skill(TrajectoryDistribution(basis, mean, S), duration, _events(drawn, times, duration), None, keep_out, report)
+    events = _events(drawn, times, duration)
+    return Skill(TrajectoryDistribution(basis, mean, S), duration, events, None, keep_out, report)
 
 
 @contextmanager
 def _one_thread():
-    """torch on one thread, and as before afterwards: the flows are so small that a second thread only waits for the first."""
+    """torch on one thread, and as before afterwards: the flows are so small that a second thread only waits for the
+    first."""
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
@@ -84,35 +94,29 @@ def _one_thread():
 
 
 def _mean(basis, met: list[Intersections], smoothness: float):
-    """Mean of the weights (M, 3), the times (T,) at which rays met, and the points' mean square from the mean there (T, 3)."""
+    """Mean of the weights (M, 3), the times (T,) at which rays met, and the points' mean square from the mean there (T,
+    3)."""
     grid = met[0].grid
-    times, points, weights = (np.concatenate([getattr(m, name) for m in met]) for name in ("times", "points", "weights"))
-    centre, variance, seen = moments_over_time(times, points, weights, grid)
+    fields = [np.concatenate([getattr(m, name) for m in met]) for name in ("times", "points", "weights")]
+    centre, variance, seen = moments_over_time(*fields, grid)
     if seen.sum() < 2:
-        raise SketchError(f"the rays of the views meet at {seen.sum()} of {len(grid)} times: the strokes of the views do not "
-                          "show the same motion, or near, far, delta exclude it; draw them again or widen teach.raytrace")
+        raise SketchError(
+            f"the rays of the views meet at {seen.sum()} of {len(grid)} times: their strokes do not show the same "
+            "motion, or near, far, delta exclude it; draw them again or widen teach.raytrace"
+        )
     mean = fit_mean(basis, grid, centre, seen, smoothness)
     return mean, grid[seen], (variance + (centre - basis(grid) @ mean) ** 2)[seen]
 
 
-def _diagonal(basis, mean, grid, variance, strokes, cameras, smoothness, strength) -> np.ndarray:
-    return np.diag(fit_diagonal(basis, grid, variance).ravel())
-
-
-def _coherent(basis, mean, grid, variance, strokes, cameras, smoothness, strength) -> np.ndarray:
-    t = np.linspace(0, 1, POINTS)[:: POINTS // 50]
-    x, Psi = basis(t) @ mean, np.kron(basis(t), np.eye(3))
-    observations = []
-    for camera, drawn in zip(cameras, strokes):
-        J = _jacobian(camera, x)
-        H = np.einsum("tua,taw->tuw", J, Psi.reshape(len(t), 3, -1)).reshape(2 * len(t), -1)
-        residuals = (drawn - drawn.mean(axis=0))[:, :: POINTS // 50].reshape(len(drawn), -1)
-        observations.append((H, residuals))
-    prior = hand_prior(basis, mean, smoothness)
-    return fit_coherent(observations, prior, strength)
-
-
-COVARIANCES = {"coherent": _coherent, "diagonal": _diagonal}
+def _observations(basis, mean, strokes, cameras) -> list[tuple[np.ndarray, np.ndarray]]:
+    """For each view what ``fit_coherent`` takes: H (2T, 3M) [px/m] and residuals from the mean (n, 2T) [px]."""
+    t = np.linspace(0, 1, POINTS)[::2]
+    x, Psi = basis(t) @ mean, np.kron(basis(t), np.eye(3)).reshape(len(t), 3, -1)
+    residuals = [(view - view.mean(axis=0))[:, ::2].reshape(len(view), -1) for view in strokes]
+    return [
+        ((_jacobian(camera, x) @ Psi).reshape(2 * len(t), -1), residual)
+        for camera, residual in zip(cameras, residuals, strict=True)
+    ]
 
 
 def _jacobian(camera: Camera, x) -> np.ndarray:
@@ -138,7 +142,8 @@ def _report(drawn, strokes, densities, met, basis, mean) -> dict:
     x = basis(np.linspace(0, 1, POINTS)) @ mean
     residual = {}
     for sketch, drawn_points in zip(drawn, strokes):
-        residual[sketch.view] = float(np.linalg.norm(drawn_points.mean(axis=0) - sketch.camera.project(x), axis=-1).mean())
+        miss = drawn_points.mean(axis=0) - sketch.camera.project(x)
+        residual[sketch.view] = float(np.linalg.norm(miss, axis=-1).mean())
     angles = [ray_angle(a, b) for a, b in combinations(drawn, 2)]
     counts = np.sum([m.counts for m in met], axis=0)
     return {
@@ -152,19 +157,19 @@ def _report(drawn, strokes, densities, met, basis, mean) -> dict:
 
 def _warnings(drawn, residual, angle: float, counts) -> list[str]:
     warnings = []
-    if (counts == 0).any():
-        warnings.append(f"At {int((counts == 0).sum())} of {len(counts)} times the views' rays do not meet; the motion is "
-                        "interpolated there.")
+    if (missing := int((counts == 0).sum())) > 0:
+        warnings.append(f"At {missing} of {len(counts)} times no rays meet; the motion is interpolated there.")
     if angle < 15:
-        warnings.append(f"The views look from nearly the same side ({angle:.0f} degrees apart), so depth is uncertain; sketch on "
-                        "a view from another side.")
+        warnings.append(
+            f"The views look from nearly the same side ({angle:.0f} degrees apart), so depth is uncertain; sketch on a "
+            "view from another side."
+        )
     for sketch in drawn:
         outside = np.mean([1 - sketch.camera.contains(stroke.points).mean() for stroke in sketch.motions])
         if outside > 0:
             warnings.append(f"{outside:.0%} of what is drawn on view {sketch.view} lies outside the picture.")
-        if residual[sketch.view] > 0.05 * sketch.camera.width:
-            warnings.append(f"The strokes on view {sketch.view} disagree with the others by {residual[sketch.view]:.0f} px on "
-                            "average; draw them again.")
+        if (miss := residual[sketch.view]) > 0.05 * sketch.camera.width:
+            warnings.append(f"The strokes on view {sketch.view} miss the fitted motion by {miss:.0f} px; draw them again.")
         if len(sketch.motions) < 2:
-            warnings.append(f"View {sketch.view} has one stroke: how far the motion may vary is a guess; three strokes show it.")
+            warnings.append(f"View {sketch.view} has one stroke: how far the motion may vary is a guess; draw three.")
     return warnings

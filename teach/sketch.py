@@ -1,18 +1,17 @@
 """Strokes drawn on pictures, and the JSON files that hold them.
 
-A stroke is kept raw, as drawn: never smoothed, never resampled. Its points are pixels of its view ((0, 0) is the top-left
-corner of the picture; points outside the picture are allowed), its times seconds of a clock of its own.
+A stroke is kept raw, as drawn: never smoothed, never resampled. Its points are pixels of its view ((0, 0) is the
+top-left corner of the picture; points outside the picture are allowed), its times seconds of a clock of its own.
 
     sketches = load("sketches/reach.json")          # list[Sketch]
     save("sketches/reach.json", sketches)           # load gives back every number exactly
     check(sketches)                                 # SketchError unless they can be seen in 3D
 
-The file is ``{"schema": "scene2skill.sketches", "version": 1, "sketches": [...]}``; SCHEMA says all of it. A reader refuses
-what SCHEMA does not name, so a file is either understood whole or refused with the path of what is wrong in it.
+The file is ``{"schema": "scene2skill.sketches", "version": 1, "sketches": [...]}``; teach.schema.SCHEMA says all of it. A
+reader refuses what it does not name, so a file is either understood whole or refused with the path of what is wrong in it.
 """
 
 import json
-import math
 import os
 import tempfile
 from collections.abc import Sequence
@@ -24,10 +23,9 @@ import numpy as np
 from jaxtyping import Float
 
 from scene.camera import Camera
+from teach.schema import KINDS, MAX_POINTS, SCHEMA, validate
 
-KINDS = ("motion", "keep_out")
 MAX_BYTES = 64 * 2**20
-MAX_POINTS = 200_000
 MAX_PIXEL = 1e6
 MIN_RAY_ANGLE_DEG = 3.0
 """Below this angle a pixel of error along the stroke moves the point 20 pixels in depth: rays do not cross well."""
@@ -39,7 +37,8 @@ class SketchError(ValueError):
 
 @dataclass(frozen=True)
 class Event:
-    """Something that happens at a moment: name such as "gripper_close", time [s] on the clock of the stroke or skill."""
+    """Something that happens at a moment: name such as "gripper_close", time [s] on the clock of the stroke or
+    skill."""
 
     name: str
     time: float
@@ -49,8 +48,8 @@ class Event:
 class Stroke:
     """One line drawn on a view.
 
-    points: (N, 2) [px]. times: (N,) [s], not decreasing (equal ones are allowed). demonstration: which repetition of the
-    motion it draws. kind: "motion", or "keep_out" for the outline of a region to avoid. pressure: (N,) of the pen.
+    points: (N, 2) [px]. times: (N,) [s], not decreasing (equal ones are allowed). demonstration: which repetition of
+    the motion it draws. kind: "motion", or "keep_out" for the outline of a region to avoid. pressure: (N,) of the pen.
     pointer: the device, such as "mouse". Raises SketchError.
     """
 
@@ -67,12 +66,12 @@ class Stroke:
         if points.ndim != 2 or points.shape[1] != 2 or times.shape != points.shape[:1]:
             raise SketchError(f"a stroke has points (N, 2) and times (N,), not {points.shape} and {times.shape}")
         if not 2 <= len(points) <= MAX_POINTS:
-            raise SketchError(f"a stroke has {len(points)} point(s): at least 2 and at most {MAX_POINTS} are needed; draw it again")
+            raise SketchError(f"a stroke has {len(points)} point(s): it needs 2 to {MAX_POINTS}; draw it again")
         if np.abs(points).max() > MAX_PIXEL:
-            raise SketchError(f"a stroke's point lies {np.abs(points).max():.3g} px from the corner: not on any picture")
+            raise SketchError(f"a stroke's point at {np.abs(points).max():.3g} px is not on any picture")
         if (np.diff(times) < 0).any():
             i = int(np.argmax(np.diff(times) < 0))
-            raise SketchError(f"a stroke's times go backwards, from {times[i]:.6g} s at point {i} to {times[i + 1]:.6g} s")
+            raise SketchError(f"a stroke's times go backwards at point {i}, {times[i]:.6g} s to {times[i + 1]:.6g} s")
         if self.kind not in KINDS:
             raise SketchError(f"a stroke's kind is one of {', '.join(KINDS)}, not {self.kind!r}")
         if self.pressure is not None:
@@ -120,10 +119,10 @@ class Sketch:
 
     def __post_init__(self):
         if not isinstance(self.camera, Camera):
-            raise SketchError(f"the sketch on view {self.view!r} needs a scene.camera.Camera, not {type(self.camera).__name__}")
+            raise SketchError(f"view {self.view!r} needs a scene.camera.Camera, not {type(self.camera).__name__}")
         K = self.camera.K
         if min(self.camera.width, self.camera.height) < 1 or min(K[0, 0], K[1, 1]) <= 0 or (K[2] != [0, 0, 1]).any():
-            raise SketchError(f"the camera of view {self.view!r} has no usable intrinsics: focal lengths and sizes are positive")
+            raise SketchError(f"view {self.view!r} has no usable intrinsics: focal lengths and sizes are positive")
         object.__setattr__(self, "strokes", tuple(self.strokes))
 
     @property
@@ -142,16 +141,16 @@ def check(sketches: Sequence[Sketch]) -> None:
     names = sorted({sketch.view for sketch in drawn})
     if len(drawn) < 2:
         where = f"only on view {names[0]!r}" if names else "on no view"
-        raise SketchError(f"the motion is drawn {where}: depth needs strokes on at least two views from different sides")
+        raise SketchError(f"the motion is drawn {where}: depth needs strokes on two views from different sides")
     if len(names) < len(drawn):
-        raise SketchError(f"{len(drawn)} sketches share the view names {names}: put all strokes of a view in one sketch")
+        raise SketchError(f"{len(drawn)} sketches share the views {names}: put all strokes of a view in one sketch")
     pairs = [(ray_angle(a, b), a, b) for a, b in combinations(drawn, 2)]
     angle, a, b = max(pairs, key=lambda pair: pair[0])
     if angle < MIN_RAY_ANGLE_DEG:
         baseline = np.linalg.norm(a.camera.centre - b.camera.centre)
         raise SketchError(
-            f"the rays of views {a.view!r} and {b.view!r} never cross well: {angle:.2g} degrees (at least {MIN_RAY_ANGLE_DEG:g} "
-            f"are needed), cameras {baseline:.3g} m apart; sketch on a view from another side"
+            f"the rays of views {a.view!r} and {b.view!r} never cross well: {angle:.2g} degrees (at least "
+            f"{MIN_RAY_ANGLE_DEG:g} are needed), cameras {baseline:.3g} m apart; sketch on a view from another side"
         )
 
 
@@ -171,67 +170,6 @@ def ray_angle(a: Sketch, b: Sketch, count: int = 20) -> float:
     angles = [np.arccos(np.clip(rays @ along, -1, 1)) for rays in (rays_a, rays_b)]
     meeting = float(np.degrees(np.median(angles[1] - angles[0])))
     return max(0.0, min(meeting, 180.0 - meeting))
-
-
-# --- files -----------------------------------------------------------------------------------------------------------------
-
-_NUMBER = {"type": "number"}
-SCHEMA = {
-    "type": "object",
-    "required": ["schema", "version", "sketches"],
-    "properties": {
-        "schema": {"enum": ["scene2skill.sketches"]},
-        "version": {"enum": [1]},
-        "sketches": {
-            "type": "array",
-            "maxItems": 100,
-            "items": {
-                "type": "object",
-                "required": ["view", "camera", "strokes"],
-                "properties": {
-                    "view": {"type": "string"},
-                    "camera": {
-                        "type": "object",
-                        "required": ["K", "world_from_camera", "width", "height"],
-                        "properties": {
-                            "K": {"type": "array", "shape": [3, 3], "items": _NUMBER},
-                            "world_from_camera": {"type": "array", "shape": [4, 4], "items": _NUMBER},
-                            "width": {"type": "integer"},
-                            "height": {"type": "integer"},
-                        },
-                    },
-                    "strokes": {
-                        "type": "array",
-                        "maxItems": 1000,
-                        "items": {
-                            "type": "object",
-                            "required": ["points", "times"],
-                            "properties": {
-                                "points": {"type": "array", "shape": [None, 2], "items": _NUMBER},
-                                "times": {"type": "array", "shape": [None], "items": _NUMBER},
-                                "demonstration": {"type": "integer"},
-                                "kind": {"enum": list(KINDS)},
-                                "events": {
-                                    "type": "array",
-                                    "maxItems": 1000,
-                                    "items": {
-                                        "type": "object",
-                                        "required": ["name", "time"],
-                                        "properties": {"name": {"type": "string"}, "time": _NUMBER},
-                                    },
-                                },
-                                "pressure": {"type": "array", "shape": [None], "items": _NUMBER},
-                                "pointer": {"type": "string"},
-                            },
-                        },
-                    },
-                },
-            },
-        },
-    },
-}
-"""What a sketch file holds, in JSON Schema's words: no other keys are allowed, numbers are finite, strings have at most 200
-characters. ``shape`` is ours: the sizes of nested arrays of numbers, None for any up to MAX_POINTS."""
 
 
 def load(path) -> list[Sketch]:
@@ -268,15 +206,22 @@ def loads(text: str | bytes) -> list[Sketch]:
         document = json.loads(text)
     except (ValueError, RecursionError) as error:
         raise SketchError(f"not a JSON file ({error})") from None
-    _validate(document, SCHEMA, "")
+    _require(document)
     return [_sketch(sketch, f"sketches[{i}]") for i, sketch in enumerate(document["sketches"])]
 
 
 def dumps(sketches: Sequence[Sketch]) -> str:
     """JSON text (SCHEMA) from which ``loads`` gives the sketches back."""
     document = {"schema": "scene2skill.sketches", "version": 1, "sketches": [_plain(sketch) for sketch in sketches]}
-    _validate(document, SCHEMA, "")
+    _require(document)
     return json.dumps(document, allow_nan=False)
+
+
+def _require(document) -> None:
+    try:
+        validate(document, SCHEMA)
+    except ValueError as error:
+        raise SketchError(str(error)) from None
 
 
 def _plain(sketch: Sketch) -> dict:
@@ -320,65 +265,6 @@ def _sketch(plain: dict, where: str) -> Sketch:
     return Sketch(plain["view"], camera, tuple(strokes))
 
 
-_TYPES = {"object": dict, "array": list, "string": str, "integer": int, "number": (int, float)}
-
-
-def _validate(value, schema: dict, where: str) -> None:
-    """Raise SketchError at the first place where ``value`` is not what ``schema`` (a part of SCHEMA) says."""
-    if "enum" in schema:
-        if value not in schema["enum"] or isinstance(value, bool):
-            raise SketchError(f"{where or 'the file'} is {str(value)[:40]!r}: expected one of {schema['enum']}")
-        return
-    kind = schema["type"]
-    if not isinstance(value, _TYPES[kind]) or isinstance(value, bool):
-        raise SketchError(f"{where or 'the file'} must be of type {kind}, not {type(value).__name__}")
-    if kind == "object":
-        _validate_object(value, schema, where)
-    elif kind == "array" and "shape" in schema:
-        _validate_numbers(value, schema["shape"], where)
-    elif kind == "array":
-        if len(value) > schema["maxItems"]:
-            raise SketchError(f"{where} has {len(value)} items: at most {schema['maxItems']} are allowed")
-        for i, item in enumerate(value):
-            _validate(item, schema["items"], f"{where}[{i}]")
-    elif kind == "string" and len(value) > 200:
-        raise SketchError(f"{where} has {len(value)} characters: at most 200 are allowed")
-    elif kind in ("number", "integer") and not _finite(value):
-        raise SketchError(f"{where} is {str(value)[:40]}: a finite number is needed")
-
-
-def _validate_object(value: dict, schema: dict, where: str) -> None:
-    prefix = f"{where}." if where else ""
-    for key in schema["required"]:
-        if key not in value:
-            raise SketchError(f"{prefix}{key} is missing")
-    for key, item in value.items():
-        if key not in schema["properties"]:
-            raise SketchError(f"{prefix}{key[:40]} is unknown: known are {', '.join(schema['properties'])}")
-        _validate(item, schema["properties"][key], f"{prefix}{key}")
-
-
-def _validate_numbers(value, shape: list, where: str) -> None:
-    if not isinstance(value, list) or (len(value) != shape[0] if shape[0] is not None else len(value) > MAX_POINTS):
-        expected = f"{shape[0]}" if shape[0] is not None else f"at most {MAX_POINTS}"
-        found = f"{len(value)}" if isinstance(value, list) else f"a {type(value).__name__}"
-        raise SketchError(f"{where} must be a list of {expected} items, not {found}")
-    if len(shape) > 1:
-        for i, row in enumerate(value):
-            _validate_numbers(row, shape[1:], f"{where}[{i}]")
-        return
-    for i, number in enumerate(value):
-        if type(number) not in (int, float) or not _finite(number):  # bool is an int, but not here
-            raise SketchError(f"{where}[{i}] is {str(number)[:40]}: a finite number is needed")
-
-
-def _finite(number) -> bool:
-    try:
-        return math.isfinite(float(number))
-    except OverflowError:  # an integer of hundreds of digits
-        return False
-
-
 def _array(values, name: str) -> np.ndarray:
     """A read-only array of finite floats."""
     try:
@@ -386,6 +272,7 @@ def _array(values, name: str) -> np.ndarray:
     except (TypeError, ValueError):
         raise SketchError(f"a stroke's {name} must be an array of numbers") from None
     if not np.isfinite(array).all():
-        raise SketchError(f"a stroke's {name} hold NaN or infinite numbers (first at point {np.argwhere(~np.isfinite(array))[0][0]})")
+        first = np.argwhere(~np.isfinite(array))[0][0]
+        raise SketchError(f"a stroke's {name} hold NaN or infinite numbers (first at point {first})")
     array.setflags(write=False)
     return array

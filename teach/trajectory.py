@@ -78,9 +78,9 @@ class TrajectoryDistribution:
     def condition(self, t, x, covariance=None) -> "TrajectoryDistribution":
         """The distribution of the trajectories that pass x at t; the rest of their shape follows by correlation.
 
-        t: () or (K,) times. x: (3,) or (K, 3) [m]. covariance: None (exactly there), (3, 3) for each of them or (K, 3, 3)
-        [m^2]. Where the distribution has no such motion (a singular S), what is missing is bridged by the least change of the
-        weights. Raises ValueError where conditions contradict each other. K = S Psi (Psi^T S Psi + R)^-1.
+        t: () or (K,) times. x: (3,) or (K, 3) [m]. covariance: None (exactly there), (3, 3) for each of them or (K, 3,
+        3) [m^2]. Where the distribution has no such motion (a singular S), what is missing is bridged by the least
+        change of the weights. Raises ValueError where conditions contradict each other. K = S Psi (Psi^T S Psi + R)^-1.
         """
         t = np.atleast_1d(np.asarray(t, dtype=float))
         x = np.asarray(x, dtype=float).reshape(-1, 3)
@@ -100,7 +100,8 @@ class TrajectoryDistribution:
         return replace(self, mean=w.reshape(-1, 3), covariance=_symmetric(A @ S @ A.T + K @ R @ K.T))
 
     def with_first_weight(self, x) -> "TrajectoryDistribution":
-        """The paper's way to start at x (3,) [m]: every sample keeps W_2: and alters W_1 so that xi(0) = x (Section IV-C).
+        """The paper's way to start at x (3,) [m]: every sample keeps W_2: and alters W_1 so that xi(0) = x (Section
+        IV-C).
 
         Only the first bump of the basis moves; ``condition(0, x)`` moves all that is correlated with the start.
         """
@@ -118,8 +119,9 @@ class TrajectoryDistribution:
 class Skill:
     """What was taught.
 
-    duration: of the motion [s]. events: Events at times [s] of the skill. orientation: None, or rows (t, quat_xyzw) (K, 5) of
-    the hand. keep_out: Sketches of the regions to avoid. report: plain numbers and sentences about the fit (JSON).
+    duration: of the motion [s]. events: Events at times [s] of the skill. orientation: None, or rows (t, quat_xyzw) (K,
+    5) of the hand. keep_out: Sketches of the regions to avoid. report: plain numbers and sentences about the fit
+    (JSON).
     """
 
     distribution: TrajectoryDistribution
@@ -176,7 +178,8 @@ class Skill:
             text = json.loads(str(arrays["text"]))
             if (text["kind"], text["version"]) != ("scene2skill.skill", 1):
                 raise ValueError(f"version {text['version']!r} of {text['kind']!r}, expected 1 of 'scene2skill.skill'")
-            distribution = TrajectoryDistribution(SquaredExponential(**text["basis"]), arrays["mean"], arrays["covariance"])
+            basis = SquaredExponential(**text["basis"])
+            distribution = TrajectoryDistribution(basis, arrays["mean"], arrays["covariance"])
             events = tuple(Event(str(name), float(time)) for name, time in text["events"])
             return cls(distribution, float(arrays["duration"]), events, arrays.get("orientation"),
                        tuple(loads(text["keep_out"])), text["report"])

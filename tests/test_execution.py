@@ -34,7 +34,9 @@ def turned(arm, joints, by, duration=2.0):
     change = np.zeros(len(arm.home))
     change[list(joints)] = by
     share = (1 - np.cos(np.pi * times / duration)) / 2
-    return SimpleNamespace(times=times, joints=arm.home + share[:, None] * change, names=arm.joint_names, feasible=True, sentence="")
+    return SimpleNamespace(
+        times=times, joints=arm.home + share[:, None] * change, names=arm.joint_names, feasible=True, sentence=""
+    )
 
 
 def taught(world):
@@ -94,7 +96,9 @@ def test_what_is_saved_is_loaded_but_for_the_film(performed, tmp_path):
 def test_a_thing_in_the_way_is_touched_named_and_spoils_the_success(arm):
     """Joint 1 swings the hand sideways into a post that the plan knew nothing of."""
     post = {"name": "post", "shape": "box", "size": [0.1, 0.1, 1.2], "position": [0.25, 0.32, 0.3]}
-    with World.from_spec({"name": "post", "objects": [post], "view": {"target": [0.3, 0, 0.4]}}, textured=False) as world:
+    with World.from_spec(
+        {"name": "post", "objects": [post], "view": {"target": [0.3, 0, 0.4]}}, textured=False
+    ) as world:
         done = perform(turned(arm, [0], 1.2), arm, world, fps=0)
     assert done.touched == ("post",) and not done.success
     assert done.touched_by[0].startswith("panda_") and 0 < done.touched_at[0] < 2 and done.touch_depth[0] > 0
@@ -130,7 +134,9 @@ def test_the_goal_is_read_from_where_the_object_stands_now(tiny):
     assert judge(tiny, before, 0)["final_error"] == pytest.approx(0.1)
 
 
-@pytest.mark.parametrize(("off", "contacts", "success"), [(0.0, 0, True), (0.049, 0, True), (0.051, 0, False), (0.0, 1, False)])
+@pytest.mark.parametrize(
+    ("off", "contacts", "success"), [(0.0, 0, True), (0.049, 0, True), (0.051, 0, False), (0.0, 1, False)]
+)
 def test_the_judge_follows_the_worlds_conditions(tiny, off, contacts, success):
     verdict = judge(tiny, goal_point(tiny) + [0, 0, off], contacts)
     assert verdict["success"] is success and verdict["final_error"] == pytest.approx(off)
@@ -162,7 +168,11 @@ def test_a_film_is_h264_that_browsers_play(tmp_path):
     with av.open(str(tmp_path / "film.mp4")) as video:
         stream = video.streams.video[0]
         pictures = [frame.to_ndarray(format="rgb24") for frame in video.decode(stream)]
-        assert (stream.codec_context.name, stream.codec_context.pix_fmt, float(stream.average_rate)) == ("h264", "yuv420p", 12.5)
+        assert (stream.codec_context.name, stream.codec_context.pix_fmt, float(stream.average_rate)) == (
+            "h264",
+            "yuv420p",
+            12.5,
+        )
     assert len(pictures) == 10 and pictures[0].shape == (60, 80, 3)
     np.testing.assert_allclose(pictures[5][30, 20], [200, 30, 30], atol=12)
     content = (tmp_path / "film.mp4").read_bytes()
@@ -182,6 +192,11 @@ def test_files_that_are_no_execution_are_refused(tmp_path):
     (tmp_path / "bad.npz").write_bytes(b"not an archive")
     with pytest.raises(ValueError, match="not an execution file"):
         Execution.load(tmp_path / "bad.npz")
+
+
+def test_a_world_without_a_view_is_filmed_only_by_a_given_camera():
+    with pytest.raises(ValueError, match="bare says no view"):
+        film_camera({"name": "bare"}, 480, 360)
 
 
 @pytest.mark.parametrize("name", ["tiny", "table"])

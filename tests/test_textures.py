@@ -1,4 +1,4 @@
-"""Surfaces: the same for the same seed, different for each object, and full of points that photographs are matched on."""
+"""Surfaces: the same for the same seed, different for each object, full of points that photographs are matched on."""
 
 import cv2
 import numpy as np
@@ -25,9 +25,9 @@ def test_a_seed_gives_one_picture_and_another_seed_another(kind):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_surface_has_features_that_photographs_are_matched_on(kind):
-    """At least one SIFT feature in 4 cm by 4 cm, on 40 cm by 30 cm of the surface."""
+    """At least one SIFT feature in 6 cm by 6 cm, on 40 cm by 30 cm of the surface."""
     found = cv2.SIFT_create(contrastThreshold=0.02).detect(cv2.cvtColor(painted(kind), cv2.COLOR_RGB2GRAY), None)
-    assert len(found) >= 75
+    assert len(found) >= 33
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -61,7 +61,9 @@ def faces_of(obj):
 def test_a_box_is_closed_faces_outwards_and_has_its_size():
     vertices, _, triangles = faces_of(skins.box([0.2, 0.3, 0.4], "wood", np.random.default_rng(0), [180, 140, 90])[0])
     a, b, c = (vertices[triangles[:, k]] for k in range(3))
-    np.testing.assert_allclose(np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6, 0.2 * 0.3 * 0.4)  # volume, by divergence
+    np.testing.assert_allclose(
+        np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6, 0.2 * 0.3 * 0.4
+    )  # volume, by divergence
     assert (np.einsum("ij,ij->i", np.cross(b - a, c - a), a + b + c) > 0).all()
 
 

@@ -63,7 +63,8 @@ def test_conditioned_start_via_and_goal_are_met_exactly_even_by_a_singular_covar
 
 def test_an_ill_conditioned_covariance_is_met_one_after_the_other_too():
     basis = SquaredExponential(20)
-    d = TrajectoryDistribution(basis, np.zeros((20, 3)), np.linalg.pinv(np.kron(basis(T).T @ basis(T), np.eye(3)), rcond=1e-8) * 1e-4)
+    S = np.linalg.pinv(np.kron(basis(T).T @ basis(T), np.eye(3)), rcond=1e-8) * 1e-4
+    d = TrajectoryDistribution(basis, np.zeros((20, 3)), S)
     c = d.condition(0, [0.1, 0, 0]).condition(1, [0, 0.1, 0]).condition(0.5, [0, 0, 0.1])
     expected = 0.1 * np.eye(3)[[0, 1, 2]]
     assert np.abs(c.mean_at([0, 1, 0.5]) - expected).max() < 1e-6
@@ -113,7 +114,8 @@ def test_a_skill_is_read_back_as_it_was_saved(tmp_path):
     camera = Camera.from_fov(look_at((0, -1, 1), (0, 0, 0)), 640, 480, 60)
     outline = Sketch("a", camera, (Stroke([[0, 0], [1, 1]], [0, 1], kind="keep_out"),))
     orientation = np.array([[0.0, 0, 0, 0, 1], [1.0, 1, 0, 0, 0]])
-    skill = Skill(distribution(), 2.5, (Event("gripper_close", 1.2),), orientation, (outline,), {"warnings": ["Draw again."]})
+    report = {"warnings": ["Draw again."]}
+    skill = Skill(distribution(), 2.5, (Event("gripper_close", 1.2),), orientation, (outline,), report)
     skill.save(tmp_path / "skill.npz")
     back = Skill.load(tmp_path / "skill.npz")
     assert np.array_equal(back.distribution.mean, skill.distribution.mean)

@@ -1,0 +1,80 @@
+import numpy as np
+import pytest
+
+from teach.density import NOISES, Flow, JointFlow, left_out_noise
+
+SIZE = (320, 240)
+S = np.linspace(0, 1, 60)
+
+
+def strokes(offsets=(-8, 0, 8)):
+    """An arc drawn three times, shifted [px]: (3, 60, 2)."""
+    arc = np.stack([60 + 200 * S, 120 + 60 * np.sin(3 * S)], axis=1)
+    return np.stack([arc + [0, offset] for offset in offsets])
+
+
+def mass(density, t, spacing=2):
+    """Integral of the density over the picture plane and a margin around it, on a grid [px]."""
+    u, v = np.meshgrid(np.arange(-200, 520, spacing), np.arange(-200, 440, spacing))
+    return np.exp(density.log_prob(t, np.stack([u, v], axis=-1))).sum() * spacing**2
+
+
+@pytest.fixture(scope="module")
+def density():
+    return Flow(steps=250).fit(strokes(), SIZE, seed=0)
+
+
+def test_the_density_integrates_to_one_at_every_time(density):
+    for t in (0.0, 0.37, 1.0):
+        assert abs(mass(density, t) - 1) < 0.02
+
+
+def test_an_untrained_flow_integrates_to_one_too():
+    assert abs(mass(Flow(steps=1).fit(strokes(), SIZE), 0.5) - 1) < 0.02
+
+
+def test_draws_have_the_moments_of_the_noisy_strokes(density):
+    t = np.array([0.1, 0.5, 0.9])
+    draws = density.sample(2000, t, np.random.default_rng(0))
+    truth = np.array([[np.interp(time, S, axis) for axis in strokes()[1].T] for time in t])
+    noise = density.noise * np.array(SIZE)
+    assert np.abs(draws.mean(axis=1) - truth).max() < 4
+    assert np.allclose(draws.std(axis=1)[:, 1], np.sqrt(2 / 3 * 64 + noise[1] ** 2), rtol=0.4)
+
+
+def test_the_strokes_are_likelier_than_what_lies_beside_them(density):
+    beside = density.log_prob(S, strokes()[1] + [0, 60])
+    assert (density.log_prob(S, strokes()[1]) > beside + 3).all()
+
+
+def test_the_seed_decides_and_the_global_generator_is_left_alone():
+    import torch
+
+    torch.manual_seed(7)
+    state = torch.get_rng_state()
+    a, b, c = (Flow(steps=20).fit(strokes(), SIZE, seed=seed).log_prob(0.5, [[150.0, 180.0]]) for seed in (1, 1, 2))
+    assert a == b and a != c
+    assert torch.equal(torch.get_rng_state(), state)
+
+
+def test_the_injected_noise_is_the_bandwidth_that_predicts_a_stroke_left_out():
+    spread = [left_out_noise(strokes(np.array([-1, 0, 1]) * d) / np.array(SIZE)) for d in (2, 8, 24)]
+    assert spread[0] < spread[1] < spread[2]
+    squared = 2 * (8 / 240) ** 2  # two strokes 8 px apart: d / sqrt(2) is likeliest in the plane
+    pair = strokes((0, 8)) / np.array(SIZE)
+    nearest = NOISES[np.abs(np.log(NOISES / np.sqrt(squared / 4))).argmin()]
+    assert left_out_noise(pair) == nearest
+    assert left_out_noise(pair[:1]) == 0.01
+
+
+def test_the_papers_joint_flow_integrates_to_one_over_time_and_picture():
+    density = JointFlow(hidden=32, transforms=4, steps=300, noise=0.02, learning_rate=3e-3).fit(strokes(), SIZE)
+    t = np.linspace(-0.5, 1.5, 81)
+    assert abs(np.mean([mass(density, time, 8) for time in t]) * 2 - 1) < 0.03
+    draws = density.sample(500, [0.5], np.random.default_rng(0))
+    assert np.abs(draws[0].mean(axis=0) - strokes()[1][30]).max() < 25
+
+
+def test_training_that_diverges_says_so():
+    with pytest.raises(FloatingPointError, match="learning rate"):
+        Flow(steps=30, learning_rate=1e30).fit(strokes(), SIZE)

@@ -1,0 +1,113 @@
+"""The real chain, every part the real one, on a small world; and a real sweep."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+COMMAND = Path(sys.executable).with_name("scene2skill")
+SMALL = ("world=tiny", "robot.photographs.count=16", "robot.photographs.width=320", "robot.photographs.height=240",
+         "scene.fit.steps=60", "scene.views.orbit=2", "robot.planner.samples=4", "robot.execution.fps=2", "data=scene")  # fmt: skip
+
+
+def scene2skill(*arguments, cwd):
+    result = subprocess.run([COMMAND, *arguments], capture_output=True, text=True, cwd=cwd, env=os.environ | {"COLUMNS": "200"})
+    assert result.returncode == 0, result.stdout + result.stderr
+    return result.stdout
+
+
+@pytest.fixture(scope="module")
+def job(tmp_path_factory):
+    """One whole job: (folder, run folder, what it printed)."""
+    folder = tmp_path_factory.mktemp("job")
+    printed = scene2skill(*SMALL, cwd=folder)
+    (run,) = folder.glob("runs/default/*/0")
+    return folder, run, printed
+
+
+def metrics(run):
+    return json.loads((run / "metrics.json").read_text())
+
+
+def test_the_whole_job_ends_with_a_performed_motion(job):
+    _, run, _ = job
+    m = metrics(run)
+    assert m["reconstruct"]["registered"] == m["reconstruct"]["total"] == 16
+    assert m["reconstruct"]["camera_error_mm"] < 5 and m["reconstruct"]["camera_error_deg"] < 0.3
+    assert m["plan"]["feasible"] and m["execute"]["success"] and m["execute"]["contacts"] == 0
+
+
+def test_metrics_have_the_documented_keys(job):
+    _, run, _ = job
+    keys = {
+        "reconstruct": {"registered", "total", "reprojection_px", "frame_residual_mm", "camera_error_mm", "camera_error_deg", "seconds"},
+        "field": {"psnr", "seconds", "render_seconds", "depth_error_mm"},
+        "teach": {"seconds", "mfd", "wd", "oracle_mfd", "oracle_wd", "reprojection_px"},
+        "plan": {"feasible", "samples", "position_error_mm", "clearance_mm", "seconds"},
+        "execute": {"tracking_error_mm", "final_error_mm", "contacts", "success"},
+    }
+    m = metrics(run)
+    for group, names in keys.items():
+        assert names <= set(m[group]), group
+    assert m["total_seconds"] > 0
+
+
+def test_the_run_folder_holds_what_the_design_says(job):
+    _, run, _ = job
+    files = ("provenance.json", "status.json", "metrics.json", "skill.npz", "plan.npz", "trajectory.csv", "joint_trajectory.json", "execution.mp4", "report.html")
+    assert not [name for name in files if not (run / name).exists()]
+    assert json.loads((run / "status.json").read_text())["state"] == "finished"
+    assert (run / ".hydra" / "config.yaml").exists()
+
+
+def test_the_report_holds_everything_in_itself(job):
+    _, run, _ = job
+    page = (run / "report.html").read_text()
+    assert page.count("data:image/png;base64,") >= 8 and page.count("data:video/mp4;base64,") == 2
+    assert "http" not in page.replace("http-equiv", "")
+
+
+def test_neither_teaching_nor_planning_knows_the_goal(job):
+    """Removing the truth after the sketches are drawn changes nothing that is taught or planned."""
+    folder, run, _ = job
+    truth = folder / "scene" / "truth.json"
+    kept = truth.read_text()
+    truth.write_text("{}")
+    try:
+        scene2skill(*SMALL, "stages=[fit,plan]", "world.goal.distance=0.5", cwd=folder)
+    finally:
+        truth.write_text(kept)
+    again = max(folder.glob("runs/default/*/0"), key=lambda path: path.stat().st_mtime)
+    for name, key in (("skill.npz", "mean"), ("plan.npz", "joints")):
+        with np.load(run / name) as first, np.load(again / name) as second:
+            np.testing.assert_array_equal(first[key], second[key])
+
+
+def test_a_sweep_builds_the_scene_once_and_does_the_rest_for_each_job(job):
+    folder, _, _ = job
+    field = (folder / "scene" / "field.pt").stat().st_mtime_ns
+    scene2skill("-m", *SMALL, "seed=1,2", "stages=[capture,reconstruct,train,render,sketch,fit]", cwd=folder)
+    sweep = max(folder.glob("runs/default/*"), key=lambda path: path.stat().st_mtime)
+    assert sorted(path.name for path in sweep.glob("[0-9]*")) == ["0", "1"]
+    assert (folder / "scene" / "field.pt").stat().st_mtime_ns == field
+    means = [np.load(sweep / number / "skill.npz")["mean"] for number in "01"]
+    assert not np.allclose(*means)
+
+
+def test_each_command_runs_alone_on_the_files_of_the_one_before(job):
+    folder, _, _ = job
+    for module in ("teach.draw", "teach.fit", "robot.plan", "robot.execute"):
+        result = subprocess.run([sys.executable, "-m", module, *SMALL], capture_output=True, text=True, cwd=folder)
+        assert result.returncode == 0, result.stderr
+
+
+def test_stored_sketches_teach_the_same_skill(job):
+    folder, run, _ = job
+    scene2skill(*SMALL, "user=files", f"user.file={run / 'sketches.json'}", "stages=[sketch,fit]", cwd=folder)
+    again = max(folder.glob("runs/default/*/0"), key=lambda path: path.stat().st_mtime)
+    with np.load(run / "skill.npz") as first, np.load(again / "skill.npz") as second:
+        np.testing.assert_array_equal(first["mean"], second["mean"])

@@ -1,0 +1,167 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from scene.camera import Camera, look_at
+from teach.density import Flow, JointFlow
+from teach.raytrace import Algorithm1
+from teach.rptl import fit
+from teach.sketch import Event, Sketch, SketchError, Stroke
+from teach.trajectory import Skill
+
+TARGET = np.array([0.5, 0.0, 0.4])
+EYES = ((-0.3, -0.9, 0.9), (-0.3, 0.9, 0.7), (0.2, 0.2, 1.6))
+CAMERAS = [Camera.from_fov(look_at(eye, TARGET), 640, 480, 55) for eye in EYES]
+S = np.linspace(0, 1, 150)
+QUICK = Flow(steps=120)
+
+
+def reach(s):
+    return TARGET + np.stack([0.3 * s - 0.15, 0.12 * np.sin(3 * s) - 0.06, 0.15 * np.cos(2.5 * s)], axis=-1)
+
+
+def sketches(deviations=(0, 0, 0), views=2):
+    """Each view shows the curve once for each deviation (its size [m] along z, shrinking towards the end)."""
+    drawn = []
+    for number, camera in enumerate(CAMERAS[:views]):
+        lines = [reach(S) + np.stack([0 * S, 0 * S, d * (1 - 0.5 * S)], axis=1) for d in deviations]
+        strokes = tuple(Stroke(camera.project(x), 3 * S, k) for k, x in enumerate(lines))
+        drawn.append(Sketch(f"v{number}", camera, strokes))
+    return drawn
+
+
+def furthest(a, b):
+    """Largest distance [m] of points of curve a from curve b."""
+    return np.linalg.norm(a[:, None] - b[None], axis=-1).min(axis=1).max()
+
+
+@pytest.fixture(scope="module")
+def skill():
+    return fit(sketches((-0.01, 0, 0.01)), density=QUICK)
+
+
+def test_two_exact_sketches_recover_the_curve_within_millimetres():
+    mean = fit(sketches(), density=QUICK).distribution.mean_at(S)
+    assert furthest(mean, reach(np.linspace(0, 1, 1000))) < 0.004
+    assert np.linalg.norm(mean[[0, -1]] - reach(S)[[0, -1]], axis=1).max() < 0.006
+
+
+def test_three_views_use_all_pairs():
+    skill = fit(sketches(views=3), density=Flow(steps=60))
+    assert furthest(skill.distribution.mean_at(S), reach(np.linspace(0, 1, 1000))) < 0.006
+    assert list(skill.report["reprojection_px"]) == ["v0", "v1", "v2"]
+
+
+def test_samples_spread_as_the_strokes_do(skill):
+    spread = skill.distribution.sample(500, [0.1, 0.5, 0.9], np.random.default_rng(0)).std(axis=0)
+    assert (spread[:, 2] > 0.003).all() and (spread < 0.02).all()
+
+
+def test_samples_are_as_smooth_as_a_hand_and_not_as_noise(skill):
+    d, t = skill.distribution, np.linspace(0, 1, 101)
+    deviation = d.sample(50, t, np.random.default_rng(0)) - d.mean_at(t)
+    step = np.linalg.norm(np.diff(deviation, axis=1), axis=-1).mean()
+    assert step < 0.15 * np.linalg.norm(deviation, axis=-1).mean()
+
+
+def test_the_start_may_be_set(skill):
+    start = reach(0.0) + [0, 0, 0.03]
+    conditioned = skill.distribution.condition(0, start)
+    assert np.abs(conditioned.sample(5, [0], np.random.default_rng(0)) - start).max() < 1e-6
+
+
+def test_the_report_says_what_a_person_wants_to_know(skill):
+    report = skill.report
+    assert report["seconds"] > 0 and max(report["reprojection_px"].values()) < 2
+    assert len(report["intersections"]) == 50 and min(report["intersections"]) > 0
+    assert 45 < report["ray_angle_deg"] < 90 and report["warnings"] == []
+
+
+def test_the_skill_lasts_as_long_as_the_strokes_and_can_be_saved(skill, tmp_path):
+    assert skill.duration == 3
+    skill.save(tmp_path / "skill.npz")
+    assert Skill.load(tmp_path / "skill.npz").report == skill.report
+
+
+def test_the_same_seed_gives_the_same_skill():
+    a, b = (fit(sketches((-0.01, 0.01)), seed=3, density=Flow(steps=20)) for _ in range(2))
+    assert np.array_equal(a.distribution.mean, b.distribution.mean)
+
+
+def test_equal_arc_length_is_not_the_same_moment_where_views_foreshorten_differently():
+    skills = [fit(sketches(), density=Flow(steps=20), time=time) for time in ("aligned", "arc_length")]
+    aligned, equal = (skill.distribution.mean_at(S) for skill in skills)
+    truth = reach(np.linspace(0, 1, 1000))
+    assert furthest(equal, truth) > 5 * furthest(aligned, truth)
+
+
+def test_the_papers_choices_work_together():
+    skill = fit(
+        sketches((-0.01, 0, 0.01)),
+        density=JointFlow(hidden=64, transforms=4, steps=300, noise=0.01, learning_rate=3e-3),
+        raytrace=Algorithm1(grid=100, adaptive=False, samples=150, delta=0.01),
+        covariance="diagonal",
+    )
+    assert furthest(skill.distribution.mean_at(S), reach(np.linspace(0, 1, 1000))) < 0.03
+    assert np.count_nonzero(skill.distribution.covariance - np.diag(np.diag(skill.distribution.covariance))) == 0
+
+
+def test_events_and_outlines_of_regions_reach_the_skill():
+    drawn = sketches()
+    outline = Stroke([[10, 10], [50, 10], [50, 50]], [0, 1, 2], kind="keep_out")
+    marked = Stroke(drawn[0].strokes[0].points, 3 * S, events=(Event("gripper_close", 1.5),))
+    skill = fit([Sketch("v0", CAMERAS[0], (marked, outline)), drawn[1]], density=Flow(steps=20))
+    assert skill.events[0].name == "gripper_close" and 0.3 * 3 < skill.events[0].time < 0.7 * 3
+    assert [sketch.view for sketch in skill.keep_out] == ["v0"]
+
+
+def test_warnings_are_sentences_about_what_was_drawn():
+    first, second = sketches()
+    cropped = Camera(first.camera.K, first.camera.world_from_camera, 320, 480)
+    single = Sketch("v0", cropped, first.strokes[:1])
+    warnings = fit([single, second], density=Flow(steps=20)).report["warnings"]
+    assert any("View v0 has one stroke" in sentence for sentence in warnings)
+    assert any("of what is drawn on view v0 lies outside the picture" in sentence for sentence in warnings)
+
+
+def test_sketches_that_cannot_be_fitted_are_refused():
+    with pytest.raises(SketchError, match="only on view"):
+        fit(sketches()[:1])
+    with pytest.raises(SketchError, match="never cross well"):
+        fit([sketches()[0], Sketch("again", CAMERAS[0], sketches()[0].strokes)])
+    with pytest.raises(ValueError, match="covariance"):
+        fit(sketches(), covariance="round")
+    with pytest.raises(ValueError, match="time"):
+        fit(sketches(), time="later")
+    with pytest.raises(SketchError, match="meet at"):
+        fit(sketches(), density=Flow(steps=5), raytrace=Algorithm1(near=5.0, far=6.0))
+
+
+LETTERS = Path(__file__).parents[2] / "shared" / "data" / "strokes"
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not LETTERS.exists(), reason="letters drawn by a person are not here")
+@pytest.mark.parametrize("letter", "CGJNSW")
+def test_letters_drawn_by_a_person_are_learned_nearly_as_well_as_their_paths_in_space_allow(letter):
+    from scipy.io import loadmat
+
+    from teach.metrics import mfd, wd
+
+    board = np.array([0.55, 0.0, 0.45])
+    strokes = [loadmat(LETTERS / f"{letter}.mat")["demos"][0, k]["pos"][0, 0].T * 0.30 / 18 for k in range(9)]
+    paths = [board + np.column_stack([0 * x[:, 0], -x[:, 0], x[:, 1]]) for x in strokes]
+    eyes = ((-0.25, -0.75, 0.75), (-0.25, 0.75, 0.75), (-0.45, 0.05, 0.40))
+    cameras = [Camera([[550, 0, 320], [0, 550, 240], [0, 0, 1]], look_at(eye, board), 640, 480) for eye in eyes]
+    drawn = [Sketch(f"v{v}", c, tuple(Stroke(c.project(x), np.linspace(0, 2, 200)) for x in paths[3 * v : 3 * v + 3]))
+             for v, c in enumerate(cameras)]
+    distribution = fit(drawn[:2]).distribution
+    held, see = [stroke.points for stroke in drawn[2].strokes], cameras[2].project
+    t = np.linspace(0, 1, 200)
+    oracle = np.stack([Stroke(x[:, 1:], np.arange(200)).at(t) for x in paths[:6]])
+    oracle = np.concatenate([np.full((6, 200, 1), 0.55), oracle], axis=2)
+    assert mfd(see(distribution.mean_at(t)), held, 640)[0] < 1.3 * mfd(see(oracle.mean(axis=0)), held, 640)[0]
+    rng = np.random.default_rng(0)
+    ours = np.mean([wd(see(distribution.sample(5, t, rng)), held, 640) for _ in range(5)])
+    assert ours < 1.4 * wd(see(oracle[:5]), held, 640)
