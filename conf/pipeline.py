@@ -138,13 +138,22 @@ def sketch(job: Job, out: Path) -> dict:
 
 def fit(job: Job, out: Path) -> dict:
     """RPTL: strokes become a distribution of 3D trajectories."""
+    import numpy as np
+
     from conf.evaluation import taught_errors
     from teach import sketch as sketch_files
+    from teach.align import common_times
+    from teach.density import over_picture
+    from teach.rptl import view_densities
 
     sketches = sketch_files.load(job.run / "sketches.json")
     parts = {part: _setting(job, f"teach.{part}") for part in ("density", "raytrace", "basis")}
     skill = _setting(job, "teach.rptl")(sketches, seed=job.cfg.seed, **parts)
     skill.save(out / "skill.npz")
+    drawn = [sketch for sketch in sketches if sketch.motions]
+    _, densities = view_densities(drawn, common_times(drawn, job.cfg.teach.rptl.time), parts["density"], seed=job.cfg.seed)
+    seen = {s.view: over_picture(p, (s.camera.width, s.camera.height)) for s, p in zip(drawn, densities, strict=True)}
+    np.savez_compressed(out / "densities.npz", **seen)
     metrics = {"seconds": skill.report["seconds"], "reprojection_px": skill.report["reprojection_px"]}
     metrics |= taught_errors(skill, job.run, seed=job.cfg.seed)
     if "mfd" in metrics:
@@ -212,7 +221,7 @@ STAGES = (
     Stage("train", train, ("field.pt", "held_out"), ("reconstruct",), ("scene.fit", *SCENE), shared=True, resumable=True),
     Stage("render", render, ("views",), ("train",), ("scene.views", "world.sketch_views"), shared=True, resumable=True),
     Stage("sketch", sketch, ("sketches.json", "held_out.json", "intended.npz"), ("render",), ("user", "world", "seed")),
-    Stage("fit", fit, ("skill.npz",), ("sketch",), ("teach", "seed")),
+    Stage("fit", fit, ("skill.npz", "densities.npz"), ("sketch",), ("teach", "seed")),
     Stage("plan", plan, ("plan.npz", "trajectory.csv", "joint_trajectory.json"), ("fit",),
           ("robot.arm", "robot.planner", "world", "seed")),
     Stage("execute", execute, ("execution.npz", "execution.mp4", "filmstrip.png"), ("plan",), ("robot.arm", "robot.execution", "world")),

@@ -10,7 +10,9 @@ from scene.grid import BRICK, lengthened
 
 BETA1, BETA2 = 0.9, 0.99
 BACKGROUND_FASTER = 10
-NOISE = 0.0
+NOISE = 0.3
+DISTORTION = 0.0
+EPSILON = 1e-4
 
 
 @dataclass(frozen=True)
@@ -42,9 +44,9 @@ class KernelDescent:
         self.mean, self.square = lengthened(self.mean, count), lengthened(self.square, count)
         self.gradient = np.zeros_like(self.field.grid.values)
 
-    def step(self, rays: Rays, target: np.ndarray, jitter: np.ndarray, rates: Rates, huber: float, seen: np.ndarray):
+    def step(self, rays: Rays, target: np.ndarray, jitter: np.ndarray, rates: Rates, huber: float, seen: np.ndarray, visible: float):
         """One step on rays and their colours (n, 3); notes the largest weight of each cell in ``seen``. Returns the MSE."""
-        marched = self.field.march(rays, jitter=jitter, keep=self.keep, seen=seen, threads=self.threads)
+        marched = self.field.march(rays, jitter=jitter, keep=self.keep, seen=seen, visible=visible, threads=self.threads)
         count = int(marched.samples[1].sum())
         self.keep = int(1.3 * count / len(target)) + 16
         noise = np.random.default_rng(self.steps).uniform(-NOISE, NOISE, (len(target), 3)).astype(np.float32)
@@ -53,7 +55,7 @@ class KernelDescent:
         marched.channels[:, 1:4] += marched.through[:, None] * noise
         error = self.field.shade(marched, rays, self.threads) - target
         self.steps += 1
-        self._back(rays, marched, np.clip(error, -huber, huber) * np.float32(2 / len(error)), rates, plain, noise)
+        self._back(rays, marched, np.clip(error, -huber, huber) * np.float32(2), rates, plain, noise)
         return float(np.mean(error**2))
 
     def _back(self, rays: Rays, marched, grad_colour: np.ndarray, rates: Rates, plain, noise) -> None:
@@ -70,7 +72,7 @@ class KernelDescent:
         kernels.in_parallel(
             kernels.march_back, n, self.threads, rays.origins, rays.directions, np.float32(field.step),
             np.float32(field.step * field.scale), field.grid.sizes, field.grid.table, field.grid.starts,
-            np.float32(field.shift), np.float32(0), first, count, t, stretch, alpha, feature, plain, marched.through,
+            np.float32(field.shift), np.float32(DISTORTION), first, count, t, stretch, alpha, feature, plain, marched.through,
             grad_channels, grad_through, self.gradient, touched,
         )  # fmt: skip
         self._move(touched, [g.sum(0) for g in grads], rates)
@@ -79,7 +81,7 @@ class KernelDescent:
         correction = np.sqrt(1 - BETA2**self.steps) / (1 - BETA1**self.steps)
         kernels.in_parallel(
             kernels.adam, len(touched), self.threads, self.field.grid.values, self.gradient, self.mean, self.square,
-            touched, rates.voxel, np.float32(BETA1), np.float32(BETA2), np.float32(correction),
+            touched, rates.voxel, np.float32(BETA1), np.float32(BETA2), np.float32(correction), np.float32(EPSILON),
         )  # fmt: skip
         faster = (BACKGROUND_FASTER, 1, 1)  # before fog explains the backdrop
         for p, g, (mean, square), by in zip(self.field.shading.parameters, network_gradient, self.network, faster):

@@ -29,7 +29,7 @@ THIN = 0.02
 class Shading:
     """The network: composited channels and direction of view -> colour, with what lies behind everything.
 
-    background (7,): the channels of the light from infinity; inner (16, H), outer (H, 3): weights, see `kernels.shade`.
+    background (3,): the colour of what lies at infinity; inner (16, H), outer (H, 3): weights, see `kernels.shade`.
     """
 
     background: np.ndarray
@@ -39,7 +39,7 @@ class Shading:
     @classmethod
     def initial(cls, rng: np.random.Generator, hidden: int = 32) -> "Shading":
         """Grey background, no dependence on the direction of view."""
-        background = np.array([0.5] * 3 + [0.0] * 4, np.float32)
+        background = np.full(3, 0.5, np.float32)
         inner = rng.normal(0, np.sqrt(2 / 16), (16, hidden)).astype(np.float32)
         return cls(background, inner, np.zeros((hidden, 3), np.float32))
 
@@ -92,25 +92,26 @@ class Field:
         directions = np.ascontiguousarray(directions, np.float32)
         return Rays(origins, directions, np.full(len(origins), self.near, np.float32))
 
-    def march(self, rays: Rays, far=None, jitter=None, keep: int = 0, seen=None, threads: int = kernels.THREADS) -> Marched:
+    def march(self, rays: Rays, far=None, jitter=None, keep: int = 0, seen=None, visible=0.1, threads: int = kernels.THREADS) -> Marched:
         """Composite the grid along rays; ``keep`` > 0 keeps up to so many samples a ray on average, for the gradient."""
         n = len(rays.near)
         far = np.full(n, FAR, np.float32) if far is None else far
         jitter = np.full(n, 0.5, np.float32) if jitter is None else jitter
         capacity = max(keep, 1)
         first, count = np.empty(n, np.int64), np.empty(n, np.int64)
+        cell = np.empty(n * capacity, np.int32)
         t, stretch, alpha = (np.empty(n * capacity, np.float32) for _ in range(3))
         feature = np.empty((n * capacity, CHANNELS), np.float32)
         out, through, distance = np.empty((n, CHANNELS), np.float32), np.empty(n, np.float32), np.empty(n, np.float32)
         size = round(len(self.occupied_distance) ** (1 / 3))
         if seen is None:
-            seen = np.zeros(len(self.occupied_distance) if keep else 1, np.float32)
+            seen = np.zeros(len(self.occupied_distance) if keep else 1, np.uint8)
         kernels.in_parallel(
             kernels.march, n, threads, rays.origins, rays.directions, rays.near, far, jitter,
             np.float32(self.step), np.float32(self.step * self.scale), size, self.occupied_distance,
-            seen,
+            np.float32(visible), seen,
             self.grid.sizes, self.grid.table, self.grid.starts, self.grid.values, np.float32(self.shift), np.float32(STOP_TRAINING if keep else STOP), np.float32(THIN),
-            min(keep, 1), capacity, first, count, t, stretch, alpha, feature, out, through, distance,
+            min(keep, 1), capacity, first, count, cell, t, stretch, alpha, feature, out, through, distance,
         )  # fmt: skip
         return Marched(out, through, distance, (first, count, t, stretch, alpha, feature))
 
@@ -203,7 +204,7 @@ class Field:
         table[flags] = 1 + np.arange(flags.sum())
         hidden = inner.shape[-1] if inner.ndim == 2 else -1
         shapes = {
-            "centre": (centre, (3,)), "numbers": (numbers, (5,)), "background": (background, (7,)),
+            "centre": (centre, (3,)), "numbers": (numbers, (5,)), "background": (background, (3,)),
             "inner": (inner, (16, hidden)), "outer": (outer, (hidden, 3)),
             "values": (values, (BRICK**3 * (1 + int(flags.sum())), CHANNELS)),
         }  # fmt: skip

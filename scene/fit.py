@@ -24,6 +24,8 @@ from scene.grid import Grid
 from scene.photographs import Photographs
 from scene.volume import psnr
 
+SCALE = 50.0
+SEEN = 1
 STEPS = 1200
 """Default number of steps: 60 to 75 s on two cores for 42 photographs of 640x480."""
 
@@ -48,9 +50,9 @@ class Stage:
 
 
 STAGES = (
-    Stage(0.0, (96,), 64, 0.8, 4, 100, 1024, 0.03),
-    Stage(0.1, (96, 256), 128, 0.9, 2, 100, 2048, 0.05),
-    Stage(0.25, (96, 256, 768), 256, 1.0, 1, 150, 4096, 0.1),
+    Stage(0.0, (96,), 64, 0.8, 4, 300, 1024, 0.02),
+    Stage(0.08, (96, 256), 128, 0.9, 2, 200, 2048, 0.03),
+    Stage(0.25, (96, 256, 768), 256, 1.0, 1, 200, 4096, 0.05),
 )
 
 
@@ -66,6 +68,7 @@ class Training:
     step: int = 0
     pruned: int = 0  # the step of the last pruning
     seconds: float = 0.0
+    empty: np.ndarray | bool = False  # (n, n, n) cells known to be empty
 
 
 def fit(
@@ -87,7 +90,7 @@ def fit(
     rates: tuple[float, float, float, float] = (0.3, 0.02, 0.01, 0.003),
     decay: float = 0.1,
     huber: float = 0.1,
-    thin: float = 0.02,
+    thin: float = 0.3,
     prior: float = 5.0,
     hidden: int = 32,
 ) -> Field:
@@ -114,14 +117,14 @@ def fit(
         done = max(run.step / limit if limit else 0.0, run.seconds / seconds if seconds else 0.0)
         if done >= 1:
             break
-        if _advance(run, stages, done, points, prior) or pictures is None:
+        if _advance(run, stages, done, points, prior, views) or pictures is None:
             stage = stages[run.stage]
             pictures = Photographs.of(views, run.field.centre, run.field.half, run.field.near, stage.shrink)
         rng = np.random.default_rng((seed, run.step))
         rays, target = pictures.draw(rng, stages[run.stage].batch, patch)
         jitter = rng.random(len(target), np.float32)
         now = Rates(*(rate * decay**done for rate in rates))
-        mse = run.descent.step(rays, target, jitter, now, huber, run.seen)
+        mse = run.descent.step(rays, target, jitter, now, huber, run.seen, stages[run.stage].visible)
         error = mse if error is None else 0.95 * error + 0.05 * mse
         run.step += 1
         bar.update(1)
@@ -147,17 +150,17 @@ def _start(views, points, bounds, seed, hidden, deterministic, device, thin) -> 
     if device not in ("auto", "cpu"):
         raise ValueError(f"device {device!r} is not there; use 'cpu' or 'auto'")
     centre, half = occupancy.box_of_interest(views, points, bounds)
-    scale = 50.0
+    scale = SCALE
     occupied = occupancy.seen(views, centre, half, 64)
     field = Field(
         centre, half, Grid.empty(), Shading.initial(np.random.default_rng(seed), hidden), occupancy.distances(occupied),
         step=1.0, scale=scale, shift=float(np.log(np.expm1(thin / scale))), near=0.05,
     )  # fmt: skip
     descent = KernelDescent(field, 1 if deterministic else kernels.THREADS)
-    return Training(field, descent, occupied, np.zeros(1, np.float32))
+    return Training(field, descent, occupied, np.zeros(1, np.uint8))
 
 
-def _advance(run: Training, stages, done: float, points, prior) -> bool:
+def _advance(run: Training, stages, done: float, points, prior, views) -> bool:
     """Prune, and go to the next stage, when it is time. True if a stage begins."""
     due = run.step - run.pruned >= stages[run.stage].prune or run.stage < 0
     begins = due and run.stage + 1 < len(stages) and done >= stages[run.stage + 1].begin
@@ -165,15 +168,20 @@ def _advance(run: Training, stages, done: float, points, prior) -> bool:
         return False
     if run.stage >= 0:
         n = len(run.occupied)
-        run.occupied = (run.seen > stages[run.stage].visible).reshape(n, n, n)
+        run.occupied = (run.seen >= SEEN).reshape(n, n, n)
         if points is not None:
             run.occupied |= occupancy.around(_places(run, points), n)
     if begins:
         run.stage += 1
         run.occupied = occupancy.resampled(run.occupied, stages[run.stage].cells)
-    run.occupied = occupancy.dilated(run.occupied)
+    if run.step:
+        run.occupied = occupancy.dilated(run.occupied)
+    if points is not None and len(points):
+        if begins:
+            run.empty = occupancy.empty_by_sight(views, points, run.field.centre, run.field.half, len(run.occupied))
+        run.occupied &= ~run.empty
     run.field.occupied_distance = occupancy.distances(run.occupied)
-    run.seen = np.zeros(run.occupied.size, np.float32)
+    run.seen = np.zeros(run.occupied.size, np.uint8)
     run.pruned = run.step
     if begins:
         _grow(run, stages[run.stage], points, prior)

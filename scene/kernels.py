@@ -159,9 +159,9 @@ def _skip(empty, cell, step, speed, r):
 
 @njit(**_FAST)
 def march(
-    first, last, thread, origins, directions, near, far, jitter, step, thickness, occupancy_size, distance, seen,
+    first, last, thread, origins, directions, near, far, jitter, step, thickness, occupancy_size, distance, visible, seen,
     sizes, table, starts, values, shift, stop, thin, keep, capacity, sample_first, sample_count,
-    sample_t, sample_stretch, sample_alpha, sample_feature, out, out_through, out_depth,
+    sample_cell, sample_t, sample_stretch, sample_alpha, sample_feature, out, out_through, out_depth,
 ):  # fmt: skip
     """Forward: composite the grid's channels 1..7 along each ray, and keep the samples for `march_back`.
 
@@ -181,6 +181,7 @@ def march(
         through = np.float32(1.0)
         depth = np.float32(np.nan)
         expected = np.float32(0.0)
+        largest = np.float32(0.0)
         sample_first[ray] = cursor
         count = 0
         stretch = np.float32(2.0)
@@ -207,8 +208,8 @@ def march(
             if through > np.float32(0.5) and through * kept <= np.float32(0.5):
                 crossing = np.log(np.float32(2.0) * through) / max(optical, np.float32(1e-12))
                 depth = t + (crossing - np.float32(0.5)) * length
-            if keep > 0 and weight > seen[place]:
-                seen[place] = weight
+            largest = max(largest, weight)
+            sample_cell[cursor] = place
             expected += weight * t
             for c in range(1, CHANNELS):
                 out[ray, c] += weight * sample_feature[cursor, c]
@@ -221,6 +222,13 @@ def march(
             cursor += keep
             t += length
         sample_count[ray] = count
+        if keep > 0:
+            least = visible * max(largest, through)
+            left = np.float32(1.0)
+            for i in range(sample_first[ray], cursor):
+                if left * sample_alpha[i] > least:
+                    seen[sample_cell[i]] = min(seen[sample_cell[i]] + 1, 255)
+                left *= np.float32(1.0) - sample_alpha[i]
         out[ray, 0] = expected
         out_through[ray] = through
         out_depth[ray] = depth
@@ -242,7 +250,7 @@ def march_back(
 
     grad_out (n, 8), grad_through (n,): dL/d(out), dL/d(out_through). With dL/dw_i = g . f_i,
         dL/dsigma_i = step (T_{i+1} dL/dw_i - sum_{j>i} w_j dL/dw_j - T_end dL/dT_end)
-    ``distortion`` adds the gradient of distortion * sum_ij w_i w_j |t_i - t_j| (mip-NeRF 360, in contracted steps).
+    ``distortion`` adds the gradient of distortion * sum_ij w_i w_j |s_i - s_j|, s = t / (1 + t) (mip-NeRF 360).
     """
     small = np.float32(1e-9)
     for ray in range(first, last):
@@ -261,7 +269,7 @@ def march_back(
             spread = np.float32(0.0)
             for k in range(sample_count[ray]):
                 weight = through * sample_alpha[begin + k]
-                place = np.float32(k) * step
+                place = sample_t[begin + k] / (np.float32(1.0) + sample_t[begin + k])
                 spread += 2 * weight * (place * weight_before - place_before)
                 weight_before += weight
                 place_before += weight * place
@@ -280,7 +288,7 @@ def march_back(
             for c in range(1, CHANNELS):
                 slope += grad_out[ray, c] * sample_feature[i, c]
             if distortion > 0:
-                place = np.float32(k) * step
+                place = sample_t[i] / (np.float32(1.0) + sample_t[i])
                 after = total - weight_before - weight
                 slope += 2 * distortion * (
                     place * weight_before - place_before + (place_total - place_before - weight * place) - place * after
@@ -305,28 +313,35 @@ def march_back(
 
 
 @njit(forceinline=True, fastmath=_FAST["fastmath"], error_model="numpy")
-def _inputs(channels, through, directions, ray, background, x):
-    """The network's 16 inputs: the composited channels before the background, and the direction's harmonics."""
+def _inputs(channels, through, directions, ray, x):
+    """The network's 16 inputs: the composited channels, and the direction's harmonics as far as the ray is opaque."""
     for c in range(7):
-        x[c] = channels[ray, c + 1] + through[ray] * background[c]
+        x[c] = channels[ray, c + 1]
     dx, dy, dz = directions[ray, 0], directions[ray, 1], directions[ray, 2]
     x[7], x[8], x[9], x[10] = np.float32(1.0), dx, dy, dz
     x[11], x[12], x[13] = dx * dy, dy * dz, dx * dz
     x[14], x[15] = dx * dx - dy * dy, np.float32(3.0) * dz * dz - np.float32(1.0)
+    for k in range(7, 16):
+        x[k] *= np.float32(1.0) - through[ray]
 
 
 @njit(**_FAST)
 def shade(first, last, thread, channels, through, directions, background, inner, outer, colour):
-    """Composited channels (n, 8) -> colour (n, 3) = diffuse + outer^T relu(inner^T x); inner (16, H), outer (H, 3)."""
+    """Composited channels (n, 8) -> colour (n, 3) = diffuse + T background + outer^T relu(inner^T x).
+
+    background (3,), inner (16, H), outer (H, 3). There is no bias: where a ray hits nothing, x = 0 and the background is
+    seen as it is. It does not depend on the direction, or it would explain surfaces away before they are found.
+    """
     width = inner.shape[1]
     x, hidden = np.empty(16, np.float32), np.empty(width, np.float32)
     for ray in range(first, last):
-        _inputs(channels, through, directions, ray, background, x)
+        _inputs(channels, through, directions, ray, x)
         hidden[:] = 0.0
         for k in range(16):
             for j in range(width):
                 hidden[j] += x[k] * inner[k, j]
-        r, g, b = x[0], x[1], x[2]
+        t = through[ray]
+        r, g, b = x[0] + t * background[0], x[1] + t * background[1], x[2] + t * background[2]
         for j in range(width):
             h = max(hidden[j], np.float32(0.0))
             r += h * outer[j, 0]
@@ -343,10 +358,9 @@ def shade_back(
     """Backward of `shade`. The gradients of the parameters have one more, leading, axis: a slice for each thread."""
     width = inner.shape[1]
     x, hidden, grad_hidden = np.empty(16, np.float32), np.empty(width, np.float32), np.empty(width, np.float32)
-    grad_x = np.empty(7, np.float32)
     to_background, to_inner, to_outer = grad_background[thread], grad_inner[thread], grad_outer[thread]
     for ray in range(first, last):
-        _inputs(channels, through, directions, ray, background, x)
+        _inputs(channels, through, directions, ray, x)
         r, g, b = grad_colour[ray, 0], grad_colour[ray, 1], grad_colour[ray, 2]
         hidden[:] = 0.0
         for k in range(16):
@@ -359,24 +373,43 @@ def shade_back(
             to_outer[j, 0] += h * r
             to_outer[j, 1] += h * g
             to_outer[j, 2] += h * b
+        light = r * background[0] + g * background[1] + b * background[2]
         for k in range(16):
-            for j in range(width):
-                to_inner[k, j] += x[k] * grad_hidden[j]
-        for c in range(7):
             total = np.float32(0.0)
             for j in range(width):
-                total += inner[c, j] * grad_hidden[j]
-            grad_x[c] = total
-        grad_x[0] += r
-        grad_x[1] += g
-        grad_x[2] += b
+                total += inner[k, j] * grad_hidden[j]
+                to_inner[k, j] += x[k] * grad_hidden[j]
+            if k < 7:
+                grad_channels[ray, k + 1] = total + (grad_colour[ray, k] if k < 3 else np.float32(0.0))
+            elif through[ray] < np.float32(1.0):
+                light -= total * x[k] / (np.float32(1.0) - through[ray])
         grad_channels[ray, 0] = 0.0
-        light = np.float32(0.0)
-        for c in range(7):
-            grad_channels[ray, c + 1] = grad_x[c]
-            light += grad_x[c] * background[c]
-            to_background[c] += grad_x[c] * through[ray]
+        for c in range(3):
+            to_background[c] += grad_colour[ray, c] * through[ray]
         grad_through[ray] = light
+
+
+@njit(**_FAST)
+def pass_through(origins, directions, lengths, size, camera, least, cameras_through, last):
+    """Count ``camera`` once in ``cameras_through`` (size^3,) uint8 for each cell its rays pass on ``lengths`` (n,).
+
+    On the first half of the way, where other cameras seldom look, it counts as ``least``.
+    last (size^3,) uint8: the camera that was counted last in each cell.
+    """
+    step = np.float32(2.0) / np.float32(size)
+    for ray in range(len(lengths)):
+        ox, oy, oz = origins[ray, 0], origins[ray, 1], origins[ray, 2]
+        dx, dy, dz = directions[ray, 0], directions[ray, 1], directions[ray, 2]
+        t = np.float32(0.0)
+        while t < lengths[ray]:
+            cx, cy, cz, speed, r = _place(ox, oy, oz, dx, dy, dz, t)
+            cell = _cell(cx, cy, cz, size)
+            if t < np.float32(0.5) * lengths[ray]:
+                cameras_through[cell] = max(cameras_through[cell], least)
+            elif last[cell] != camera:
+                last[cell] = camera
+                cameras_through[cell] += np.uint8(cameras_through[cell] < 255)
+            t += step / speed
 
 
 @njit(**_FAST)
@@ -391,7 +424,7 @@ def look_up(first, last, thread, places, sizes, table, starts, values, out):
 
 
 @njit(**_FAST)
-def adam(first, last, thread, values, gradient, mean, square, touched, rates, beta1, beta2, correction):
+def adam(first, last, thread, values, gradient, mean, square, touched, rates, beta1, beta2, correction, epsilon):
     """One Adam step on the touched voxels (a bit for each of a brick's 64); clears gradient and marks.
 
     rates (8,): learning rate of each channel; correction: sqrt(1 - beta2^k) / (1 - beta1^k).
@@ -409,7 +442,7 @@ def adam(first, last, thread, values, gradient, mean, square, touched, rates, be
                     s = beta2 * square[v, c] + (np.float32(1.0) - beta2) * g * g
                     mean[v, c] = m
                     square[v, c] = s
-                    values[v, c] -= rates[c] * correction * m / (np.sqrt(s) + np.float32(1e-15))
+                    values[v, c] -= rates[c] * correction * m / (np.sqrt(s) + epsilon)
             marks >>= np.uint64(1)
             v += 1
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from scene import kernels
 
-MARGIN = 1.2  # width of the box of interest over that of the pictures there
+MARGIN = 1.4  # width of the box of interest over that of the pictures there
 FARTHEST = 32  # distances to occupied cells are counted up to this many cells
 
 
@@ -61,15 +61,58 @@ def cell_centres(n: int) -> np.ndarray:
     return np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1).reshape(-1, 3)
 
 
-def seen(views, centre, half: float, n: int, least: int = 2) -> np.ndarray:
-    """Cells that at least ``least`` of the pictures (all, if there are fewer) show, and their neighbours."""
+def seen(views, centre, half: float, n: int, least: int | None = None) -> np.ndarray:
+    """Cells that at least ``least`` of the pictures show (default: 8 %, two or more), and their neighbours."""
     world = uncontract(cell_centres(n)) * half + centre
     homogeneous = np.concatenate([world, np.ones((len(world), 1))], 1).astype(np.float32)
     count = np.zeros(len(world), np.int32)
     for view in views:
         x, y, z = view.camera.projection.astype(np.float32) @ homogeneous.T
         count += (z > 0) & (x >= 0) & (x <= z * view.camera.width) & (y >= 0) & (y <= z * view.camera.height)
-    return dilated((count >= min(least, len(views))).reshape(n, n, n))
+    least = max(2, round(0.08 * len(views))) if least is None else least
+    return dilated((count >= least).reshape(n, n, n))
+
+
+def empty_by_sight(views, points, centre, half: float, n: int, least: int = 3) -> np.ndarray:
+    """(n, n, n) bool: cells that at least ``least`` cameras look through on their way to a point they see.
+
+    Which camera sees which point is not known; it is taken to be seen where nothing nearer lies in its neighbourhood of
+    the picture and the picture has the colour that most cameras see there. Cells at and beside points are never empty.
+    """
+    points = np.asarray(points, dtype=float)
+    pixels = np.stack([view.camera.project(points) for view in views])
+    inside = np.stack([view.camera.contains(p) for view, p in zip(views, pixels)])
+    colours = np.full((*inside.shape, 3), np.nan, np.float32)
+    for k, view in enumerate(views):
+        x, y = pixels[k, inside[k]].T.astype(int)
+        colours[k, inside[k]] = view.image[np.minimum(y, view.camera.height - 1), np.minimum(x, view.camera.width - 1)]
+    likely = inside.any(0)
+    colour = np.full((len(points), 3), np.nan, np.float32)
+    colour[likely] = np.nanmedian(colours[:, likely], axis=0)
+    cameras_through, last = np.zeros(n**3, np.uint8), np.full(n**3, 255, np.uint8)
+    for k, view in enumerate(views):
+        agrees = inside[k] & (np.abs(colours[k] - colour).max(-1) < 40)
+        seen_points = points[agrees][_nearest(pixels[k, agrees], view.camera.depth(points[agrees]))]
+        _look_through(k % 255, view.camera.centre, seen_points, centre, half, n, least, cameras_through, last)
+    return (cameras_through >= least).reshape(n, n, n) & ~dilated(around(contract((points - centre) / half), n))
+
+
+def _nearest(pixels, depth, window: int = 24, tolerance: float = 1.08) -> np.ndarray:
+    """(m,) bool: points that no point within the same ``window`` [px] of the picture lies clearly in front of."""
+    keys = np.unique(pixels.astype(int) // window, axis=0, return_inverse=True)[1].ravel()
+    front = np.full(len(pixels), np.inf)
+    np.minimum.at(front, keys, depth)
+    return depth < tolerance * front[keys]
+
+
+def _look_through(k, origin, points, centre, half, n, least, cameras_through, last) -> None:
+    """Add camera k at ``origin`` to the count of each cell that lies on its way to a point, short of the point's surroundings."""
+    away = points - origin
+    distance = np.linalg.norm(away, axis=-1, keepdims=True)
+    lengths = distance[:, 0] - np.maximum(0.01 * distance[:, 0], 4 / n * half)
+    origins = np.repeat(((origin - centre) / half)[None], len(points), 0).astype(np.float32)
+    directions = (away / distance).astype(np.float32)
+    kernels.pass_through(origins, directions, (lengths / half).astype(np.float32), n, np.uint8(k), np.uint8(least), cameras_through, last)
 
 
 def around(places: np.ndarray, n: int) -> np.ndarray:
@@ -99,5 +142,14 @@ def resampled(occupied: np.ndarray, n: int) -> np.ndarray:
 
 
 def distances(occupied: np.ndarray) -> np.ndarray:
-    """(n^3,) uint8: Chebyshev distance [cells] of each cell to the nearest occupied one, at most FARTHEST."""
-    return kernels.chebyshev(np.ascontiguousarray(occupied, np.uint8), np.uint8(FARTHEST)).ravel()
+    """(n^3,) uint8: Chebyshev distance [cells] of each cell to the nearest occupied one, at most FARTHEST.
+
+    Exact up to 64 cells an axis; in larger grids, cells that are not occupied get a lower bound from half the resolution.
+    """
+    n = len(occupied)
+    if n <= 64 or n % 2:
+        return kernels.chebyshev(np.ascontiguousarray(occupied, np.uint8), np.uint8(FARTHEST)).ravel()
+    halves = occupied.reshape(n // 2, 2, n // 2, 2, n // 2, 2)
+    coarse = distances(halves.any(axis=(1, 3, 5))).reshape(n // 2, n // 2, n // 2)
+    bound = np.minimum(np.maximum(coarse, 1) * 2 - 1, FARTHEST).astype(np.uint8)
+    return np.where(halves, np.uint8(0), bound[:, None, :, None, :, None]).reshape(-1)

@@ -225,3 +225,13 @@ def _resample(strokes: np.ndarray, count: int) -> np.ndarray:
     """(S, N, 2) at N even times -> (S, count, 2) at count even times."""
     t, even = np.linspace(0, 1, count), np.linspace(0, 1, strokes.shape[1])
     return np.stack([_interpolate(t, even, stroke) for stroke in strokes])
+
+
+def over_picture(density, size, spacing: float = 8.0, times: int = 40) -> np.ndarray:
+    """p(x, y) with the time axis collapsed, at every ``spacing`` [px] of a picture of width and height ``size``: (rows, columns)."""
+    width, height = size
+    x, y = np.meshgrid(np.arange(spacing / 2, width, spacing), np.arange(spacing / 2, height, spacing))
+    pixels = np.stack([x, y], axis=-1).reshape(-1, 2)
+    t = np.linspace(0, 1, times)[:, None]
+    log_prob = density.log_prob(t, np.broadcast_to(pixels, (times, *pixels.shape)))
+    return np.exp(log_prob).mean(axis=0).reshape(x.shape)

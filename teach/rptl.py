@@ -53,15 +53,8 @@ def fit(
     drawn = [sketch for sketch in sketches if sketch.motions]
     cameras = [sketch.camera for sketch in drawn]
     times = common_times(drawn, time)
-    strokes = [
-        np.stack([resample(stroke, at, POINTS) for stroke, at in zip(sketch.motions, view, strict=True)])
-        for sketch, view in zip(drawn, times, strict=True)
-    ]
+    strokes, densities = view_densities(drawn, times, density, seed=seed)
     with _one_thread():
-        densities = [
-            density.fit(view, (camera.width, camera.height), seed=seed + number)
-            for number, (view, camera) in enumerate(zip(strokes, cameras, strict=True))
-        ]
         pairs = combinations(zip(densities, cameras, strict=True), 2)
         met = [raytrace((p_a, p_b), (camera_a, camera_b), seed=seed) for (p_a, camera_a), (p_b, camera_b) in pairs]
     mean, grid, variance = _mean(basis, met, smoothness)
@@ -79,6 +72,20 @@ def fit(
     )
     events = _events(drawn, times, duration)
     return Skill(TrajectoryDistribution(basis, mean, S), duration, events, None, keep_out, report)
+
+
+def view_densities(drawn: Sequence[Sketch], times, density, *, seed: int = 0) -> tuple[list, list]:
+    """For each view its strokes at ``times`` (teach.align.common_times), (S, POINTS, 2) [px], and their density p(x, y | t)."""
+    strokes = [
+        np.stack([resample(stroke, at, POINTS) for stroke, at in zip(sketch.motions, view, strict=True)])
+        for sketch, view in zip(drawn, times, strict=True)
+    ]
+    with _one_thread():
+        densities = [
+            density.fit(view, (sketch.camera.width, sketch.camera.height), seed=seed + number)
+            for number, (view, sketch) in enumerate(zip(strokes, drawn, strict=True))
+        ]
+    return strokes, densities
 
 
 @contextmanager
@@ -169,7 +176,7 @@ def _warnings(drawn, residual, angle: float, counts) -> list[str]:
         if outside > 0:
             warnings.append(f"{outside:.0%} of what is drawn on view {sketch.view} lies outside the picture.")
         if (miss := residual[sketch.view]) > 0.05 * sketch.camera.width:
-            warnings.append(f"The strokes on view {sketch.view} miss the fitted motion by {miss:.0f} px; draw them again.")
+            warnings.append(f"The strokes on view {sketch.view} miss the motion by {miss:.0f} px; draw them again.")
         if len(sketch.motions) < 2:
             warnings.append(f"View {sketch.view} has one stroke: how far the motion may vary is a guess; draw three.")
     return warnings

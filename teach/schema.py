@@ -1,6 +1,6 @@
 """What a sketch file holds, and the check that a file holds just that.
 
-SCHEMA is written in JSON Schema's words; the few that it uses are all that ``validate`` knows. Stricter than JSON Schema:
+SCHEMA is written in JSON Schema's words; the few that it uses are all that ``validate`` knows. Stricter:
 no keys beside the named ones, numbers finite, strings of at most 200 characters.
 """
 

@@ -7,8 +7,8 @@ top-left corner of the picture; points outside the picture are allowed), its tim
     save("sketches/reach.json", sketches)           # load gives back every number exactly
     check(sketches)                                 # SketchError unless they can be seen in 3D
 
-The file is ``{"schema": "scene2skill.sketches", "version": 1, "sketches": [...]}``; teach.schema.SCHEMA says all of it. A
-reader refuses what it does not name, so a file is either understood whole or refused with the path of what is wrong in it.
+The file is ``{"schema": "scene2skill.sketches", "version": 1, "sketches": [...]}``; teach.schema.SCHEMA says all of it.
+What it does not name is refused: a file is understood whole, or the error gives the path of what is wrong in it.
 """
 
 import json

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from teach.density import NOISES, Flow, JointFlow, left_out_noise
+from teach.density import over_picture, NOISES, Flow, JointFlow, left_out_noise
 
 SIZE = (320, 240)
 S = np.linspace(0, 1, 60)
@@ -78,3 +78,16 @@ def test_the_papers_joint_flow_integrates_to_one_over_time_and_picture():
 def test_training_that_diverges_says_so():
     with pytest.raises(FloatingPointError, match="learning rate"):
         Flow(steps=30, learning_rate=1e30).fit(strokes(), SIZE)
+
+
+def test_a_density_over_the_picture_integrates_to_one():
+    """A Gaussian that does not move, well inside the picture."""
+
+    class Still:
+        def log_prob(self, t, points):
+            return -0.5 * (((points - [100, 60]) / 12) ** 2).sum(-1) - np.log(2 * np.pi * 144)
+
+    picture = over_picture(Still(), (200, 120), spacing=4)
+    assert picture.shape == (30, 50)
+    assert picture.sum() * 16 == pytest.approx(1, abs=1e-3)
+    assert np.unravel_index(picture.argmax(), picture.shape) in {(14, 24), (14, 25), (15, 24), (15, 25)}

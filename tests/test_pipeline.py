@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 COMMAND = Path(sys.executable).with_name("scene2skill")
-SMALL = ("world=tiny", "robot.photographs.count=16", "robot.photographs.width=320", "robot.photographs.height=240",
+SMALL = ("world=tiny", "robot.photographs.count=16", "robot.photographs.width=480", "robot.photographs.height=360",
          "scene.fit.steps=60", "scene.views.orbit=2", "robot.planner.samples=4", "robot.execution.fps=2", "data=scene")  # fmt: skip
 
 
