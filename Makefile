@@ -1,5 +1,5 @@
 # make          install into .venv          make demo      the whole job on the embedded world
-# make test     the tests (< 15 minutes)    make test-all  the slow ones too    make benchmark  tables of speed
+# make test     the tests (< 15 minutes)    make test-all  the slow ones too
 
 PYTHON ?= $(shell for p in python3.11 python3 python; do \
 	$$p -c 'import sys; raise SystemExit(sys.version_info[:2] != (3, 11))' 2>/dev/null && echo $$p && break; done)
@@ -7,7 +7,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP_FLAGS ?=
 
-.PHONY: install install-test demo test test-all benchmark clean
+.PHONY: install install-test demo test test-all clean
 install: $(VENV)/.installed
 
 $(VENV)/.installed: pyproject.toml constraints.txt
@@ -20,7 +20,6 @@ $(VENV)/.installed: pyproject.toml constraints.txt
 install-test: $(VENV)/.installed-test
 
 $(VENV)/.installed-test: $(VENV)/.installed
-	@test -x /usr/bin/chromium || sh .ci/system-packages chromium
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check $(PIP_FLAGS) -c constraints.txt -e '.[test]'
 	@touch $@
 
@@ -32,9 +31,6 @@ test: install-test
 
 test-all: install-test
 	$(BIN)/python -m pytest -m ''
-
-benchmark: install-test
-	for file in tests/benchmarks/*.py; do $(BIN)/python $$file; done
 
 clean:
 	rm -rf $(VENV) build dist .pytest_cache .hypothesis

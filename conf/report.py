@@ -140,7 +140,8 @@ def _learned(page: _Page, metrics: dict) -> list[str]:
     mean, samples = learned.mean_at(TIMES), learned.sample(SHOWN_SAMPLES, TIMES, rng)
     pages = [(t, image, c.project(mean), c.project(samples), strokes) for t, image, c, strokes in _drawn(page)]
     started = conditioned.sample(SHOWN_SAMPLES, TIMES, rng)
-    deviation = np.sqrt(np.einsum("tii->ti", conditioned.covariance_at(TIMES)))
+    variance = np.einsum("tii->ti", conditioned.covariance_at(TIMES))
+    deviation = np.sqrt(np.maximum(variance, 0))  # rounding leaves -1e-18 where the start is exact
     parts = ["<h2>The learned motion</h2>", *_scores(metrics["teach"]), *_densities(page)]
     return parts + [
         page.picture("overview", figures.overview([(p[0], p[1], p[4]) for p in pages[:2]], pages[-1], _last_frame(page)),

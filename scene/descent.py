@@ -1,4 +1,4 @@
-"""One step of gradient descent on a field, with the kernels of `scene.kernels`; `scene.twin` does it in torch."""
+"""One step of gradient descent on a field, with the kernels of `scene.kernels`."""
 
 from dataclasses import dataclass
 
@@ -10,9 +10,9 @@ from scene.grid import BRICK, lengthened
 
 BETA1, BETA2 = 0.9, 0.99
 BACKGROUND_FASTER = 10
-NOISE = 0.3
+NOISE = 0.0
 DISTORTION = 0.0
-EPSILON = 1e-4
+EPSILON = 1e-5
 
 
 @dataclass(frozen=True)

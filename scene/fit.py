@@ -25,7 +25,6 @@ from scene.photographs import Photographs
 from scene.volume import psnr
 
 SCALE = 50.0
-SEEN = 1
 STEPS = 1200
 """Default number of steps: 60 to 75 s on two cores for 42 photographs of 640x480."""
 
@@ -90,7 +89,7 @@ def fit(
     rates: tuple[float, float, float, float] = (0.3, 0.02, 0.01, 0.003),
     decay: float = 0.1,
     huber: float = 0.1,
-    thin: float = 0.3,
+    thin: float = 0.1,
     prior: float = 5.0,
     hidden: int = 32,
 ) -> Field:
@@ -168,7 +167,7 @@ def _advance(run: Training, stages, done: float, points, prior, views) -> bool:
         return False
     if run.stage >= 0:
         n = len(run.occupied)
-        run.occupied = (run.seen >= SEEN).reshape(n, n, n)
+        run.occupied = (run.seen > 0).reshape(n, n, n)
         if points is not None:
             run.occupied |= occupancy.around(_places(run, points), n)
     if begins:

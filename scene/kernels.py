@@ -227,7 +227,7 @@ def march(
             left = np.float32(1.0)
             for i in range(sample_first[ray], cursor):
                 if left * sample_alpha[i] > least:
-                    seen[sample_cell[i]] = min(seen[sample_cell[i]] + 1, 255)
+                    seen[sample_cell[i]] = 1
                 left *= np.float32(1.0) - sample_alpha[i]
         out[ray, 0] = expected
         out_through[ray] = through

@@ -7,7 +7,7 @@ import numpy as np
 
 from scene import kernels
 
-MARGIN = 1.4  # width of the box of interest over that of the pictures there
+MARGIN = 1.2  # width of the box of interest over that of the pictures there
 FARTHEST = 32  # distances to occupied cells are counted up to this many cells
 
 

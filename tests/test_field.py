@@ -1,0 +1,89 @@
+"""A field learns a small scene, keeps it on disk, and refuses what is not a field."""
+
+import numpy as np
+import pytest
+
+from scene.camera import Camera, View, look_at, orbit
+from scene.field import Field
+from scene.fit import fit
+from scene.volume import psnr
+
+SIZE = 48
+
+
+def checkerboard(camera):
+    """A unit checkerboard in the plane z = 0 before a white backdrop: picture and true depth."""
+    origins, directions = camera.rays(camera.pixel_centres())
+    t = -origins[..., 2] / directions[..., 2]
+    places = origins + t[..., None] * directions
+    on = (t > 0) & (np.abs(places[..., :2]) < 0.5).all(-1)
+    cells = (np.floor(places[..., :2] * 4).sum(-1) % 2).astype(bool)
+    image = np.where(cells[..., None], np.uint8([200, 60, 40]), np.uint8([40, 90, 160]))
+    image[~on] = 255
+    return image.astype(np.uint8), np.where(on, t * (directions @ camera.forward), np.nan)
+
+
+def cameras(count=14):
+    poses = [pose for elevation in (35, 60) for pose in orbit((0, 0, 0), 2.0, elevation, count // 2, start_deg=elevation)]
+    return [Camera.from_fov(pose, SIZE, SIZE, 40) for pose in poses]
+
+
+@pytest.fixture(scope="module")
+def views():
+    return [View(f"{i:02d}", camera, checkerboard(camera)[0]) for i, camera in enumerate(cameras())]
+
+
+@pytest.fixture(scope="module")
+def field(views):
+    rng = np.random.default_rng(0)
+    points = np.column_stack([rng.uniform(-0.5, 0.5, (300, 2)), np.zeros(300)])
+    return fit(views, points=points, steps=250, seed=0, progress=False)
+
+
+@pytest.fixture(scope="module")
+def new_view():
+    return Camera.from_fov(look_at((1.2, 0.5, 1.4), (0, 0, 0)), SIZE, SIZE, 40)
+
+
+def test_a_view_that_was_not_trained_on_looks_right(field, new_view):
+    image, _ = field.render(new_view)
+    assert image.shape == (SIZE, SIZE, 3) and image.dtype == np.uint8
+    assert psnr(image, checkerboard(new_view)[0]) > 15  # seconds of training, coarse voxels
+
+
+def test_the_depth_of_a_plane_is_right_and_there_is_none_beside_it(field, new_view):
+    _, depth = field.render(new_view)
+    true = checkerboard(new_view)[1]
+    both = np.isfinite(depth) & np.isfinite(true)
+    assert both.sum() > 0.8 * np.isfinite(true).sum()
+    assert np.median(np.abs(depth - true)[both]) < 0.06  # less than two voxels
+    assert np.isnan(depth[:3, :3]).all()
+
+
+def test_what_is_saved_is_what_is_loaded(field, new_view, tmp_path):
+    field.save(tmp_path / "field.pt")
+    again, depth = Field.load(tmp_path / "field.pt").render(new_view)
+    image, _ = field.render(new_view)
+    assert psnr(again, image) > 35  # voxels are kept in half precision
+    assert [path.name for path in tmp_path.iterdir()] == ["field.pt"]
+
+
+def test_a_truncated_or_foreign_file_is_refused(field, tmp_path):
+    path = tmp_path / "field.pt"
+    field.save(path)
+    path.write_bytes(path.read_bytes()[:-200])
+    with pytest.raises(ValueError, match="field"):
+        Field.load(path)
+    path.write_bytes(b"not a field")
+    with pytest.raises(ValueError, match="field"):
+        Field.load(path)
+
+
+def test_one_photograph_is_not_enough(views):
+    with pytest.raises(ValueError, match="two photographs"):
+        fit(views[:1], steps=1, progress=False)
+
+
+def test_the_same_seed_on_one_thread_gives_the_same_field(views, new_view):
+    first, second = (fit(views, steps=20, seed=3, progress=False, deterministic=True) for _ in range(2))
+    np.testing.assert_array_equal(first.render(new_view)[0], second.render(new_view)[0])
