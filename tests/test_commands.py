@@ -3,7 +3,6 @@
 import os
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -42,14 +41,11 @@ def test_help_of_every_command(module):
     assert result.returncode == 0 and "scene2skill" in result.stdout, result.stderr
 
 
-def test_help_and_the_whole_config_answer_within_a_second(tmp_path):
-    for arguments in (["--help"], ["--cfg", "job"]):
-        times = []
-        for _ in range(3):
-            started = time.perf_counter()
-            assert scene2skill(*arguments, cwd=tmp_path).returncode == 0
-            times.append(time.perf_counter() - started)
-        assert min(times) < 1.0
+def test_help_and_the_whole_config_are_printed_without_doing_anything(tmp_path):
+    """How fast is a matter of what is imported, which test_architecture holds."""
+    assert "world:" in scene2skill("--help", cwd=tmp_path).stdout
+    assert "stages:" in scene2skill("--cfg", "job", cwd=tmp_path).stdout
+    assert not list(tmp_path.iterdir())
 
 
 def test_the_command_works_beside_a_foreign_conf_folder(tmp_path):
