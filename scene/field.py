@@ -5,31 +5,31 @@ a sum of voxels, and a small network adds what depends on the direction of view,
 features (deferred shading, as in SNeRG and MERF). Light that passes everything meets ``background``.
 """
 
-import os
 import zipfile
 import zlib
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
 from scene import kernels
 from scene.camera import Camera
+from scene.files import replacing
 from scene.grid import BRICK, CHANNELS, Grid
-from scene.occupancy import distances
+from scene.occupancy import Occupancy, cells
 
-VERSION = 1
+VERSION = 2
 FAR = 1e4
 STOP = 1e-3
 STOP_TRAINING = 1e-2
-THIN = 0.02
+UNSEEN = (0.5, 0.5, 0.5)  # shown where a scene without a background has nothing
 
 
 @dataclass(eq=False)
 class Shading:
     """The network: composited channels and direction of view -> colour, with what lies behind everything.
 
-    background (3,): the colour of what lies at infinity; inner (16, H), outer (H, 3): weights, see `kernels.shade`.
+    background (3,): the plain colour behind everything, (0,) if there is none; inner (16, H), outer (H, 3): weights, see
+    `kernels.shade`.
     """
 
     background: np.ndarray
@@ -37,15 +37,15 @@ class Shading:
     outer: np.ndarray
 
     @classmethod
-    def initial(cls, rng: np.random.Generator, hidden: int = 32) -> "Shading":
-        """Grey background, no dependence on the direction of view."""
-        background = np.full(3, 0.5, np.float32)
+    def initial(cls, rng: np.random.Generator, background: np.ndarray, hidden: int = 32) -> "Shading":
+        """No dependence on the direction of view."""
         inner = rng.normal(0, np.sqrt(2 / 16), (16, hidden)).astype(np.float32)
         return cls(background, inner, np.zeros((hidden, 3), np.float32))
 
     @property
-    def parameters(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        return self.background, self.inner, self.outer
+    def parameters(self) -> tuple[np.ndarray, np.ndarray]:
+        """What is trained."""
+        return self.inner, self.outer
 
 
 @dataclass(eq=False)
@@ -71,8 +71,8 @@ class Marched:
 class Field:
     """A trained scene.
 
-    centre (3,) and half: the box of interest in the world [m]; grid and shading: what was learnt; occupied_distance
-    (n^3,) uint8: cells to the nearest occupied cell; step: sample spacing in contracted space; scale, shift: density
+    centre (3,) and half: the box of interest in the world [m]; grid and shading: what was learnt; occupied: where
+    rays look for it; step: sample spacing in contracted space; scale, shift: density
     is scale * softplus(raw + shift); near: distance from a camera at which its rays begin, in units of ``half``.
     """
 
@@ -80,7 +80,7 @@ class Field:
     half: float
     grid: Grid
     shading: Shading
-    occupied_distance: np.ndarray
+    occupied: Occupancy
     step: float
     scale: float
     shift: float
@@ -92,7 +92,7 @@ class Field:
         directions = np.ascontiguousarray(directions, np.float32)
         return Rays(origins, directions, np.full(len(origins), self.near, np.float32))
 
-    def march(self, rays: Rays, far=None, jitter=None, keep: int = 0, seen=None, visible=0.1, threads: int = kernels.THREADS) -> Marched:
+    def march(self, rays: Rays, far=None, jitter=None, keep: int = 0, seen=None, surface=None, visible=0.1, threads: int = kernels.THREADS) -> Marched:
         """Composite the grid along rays; ``keep`` > 0 keeps up to so many samples a ray on average, for the gradient."""
         n = len(rays.near)
         far = np.full(n, FAR, np.float32) if far is None else far
@@ -100,20 +100,19 @@ class Field:
         capacity = max(keep, 1)
         first, count = np.empty(n, np.int64), np.empty(n, np.int64)
         cell = np.empty(n * capacity, np.int32)
-        t, stretch, alpha = (np.empty(n * capacity, np.float32) for _ in range(3))
+        t, alpha = (np.empty(n * capacity, np.float32) for _ in range(2))
         feature = np.empty((n * capacity, CHANNELS), np.float32)
         out, through, distance = np.empty((n, CHANNELS), np.float32), np.empty(n, np.float32), np.empty(n, np.float32)
-        size = round(len(self.occupied_distance) ** (1 / 3))
         if seen is None:
-            seen = np.zeros(len(self.occupied_distance) if keep else 1, np.uint8)
+            seen = surface = np.zeros(len(self.occupied.mask) if keep else 1, np.uint64)
         kernels.in_parallel(
             kernels.march, n, threads, rays.origins, rays.directions, rays.near, far, jitter,
-            np.float32(self.step), np.float32(self.step * self.scale), size, self.occupied_distance,
-            np.float32(visible), seen,
-            self.grid.sizes, self.grid.table, self.grid.starts, self.grid.values, np.float32(self.shift), np.float32(STOP_TRAINING if keep else STOP), np.float32(THIN),
-            min(keep, 1), capacity, first, count, cell, t, stretch, alpha, feature, out, through, distance,
+            np.float32(self.step), np.float32(self.step * self.scale), self.occupied.size,
+            self.occupied.distance, self.occupied.mask, np.float32(visible), seen, surface,
+            self.grid.sizes, self.grid.roots, self.grid.starts, self.grid.table, self.grid.values, np.float32(self.shift), np.float32(STOP_TRAINING if keep else STOP),
+            min(keep, 1), capacity, first, count, cell, t, alpha, feature, out, through, distance,
         )  # fmt: skip
-        return Marched(out, through, distance, (first, count, t, stretch, alpha, feature))
+        return Marched(out, through, distance, (first, count, t, alpha, feature))
 
     def render(self, camera: Camera, rows: int = 64) -> tuple[np.ndarray, np.ndarray]:
         """The picture (height, width, 3) uint8 and its depth (height, width) float32 [m] along z; nan where nothing is hit."""
@@ -125,18 +124,23 @@ class Field:
             rays = self.rays(origins, directions)
             marched = self.march(rays)
             block = slice(top, top + rows)
-            colour = self.shade(marched, rays).reshape(-1, camera.width, 3)
+            colour = self.shade(marched, rays, self.behind(len(origins))).reshape(-1, camera.width, 3)
             rgb[block] = np.clip(colour * 255 + 0.5, 0, 255).astype(np.uint8)
             along = marched.distance * self.half * (directions @ camera.forward)
             depth[block] = along.reshape(-1, camera.width)
         return rgb, depth
 
-    def shade(self, marched: Marched, rays: Rays, threads: int = kernels.THREADS) -> np.ndarray:
-        """Colour (n, 3) of marched rays."""
+    def behind(self, n: int) -> np.ndarray:
+        """What n rays meet (n, 3) where the scene ends."""
+        background = self.shading.background if len(self.shading.background) else np.float32(UNSEEN)
+        return np.broadcast_to(background, (n, 3))
+
+    def shade(self, marched: Marched, rays: Rays, behind: np.ndarray, threads: int = kernels.THREADS) -> np.ndarray:
+        """Colour (n, 3) of marched rays, before what is behind everything (n, 3)."""
         colour = np.empty((len(rays.near), 3), np.float32)
         kernels.in_parallel(
             kernels.shade, len(colour), threads, marched.channels, marched.through, rays.directions,
-            *self.shading.parameters, colour,
+            behind, *self.shading.parameters, colour,
         )  # fmt: skip
         return colour
 
@@ -150,28 +154,22 @@ class Field:
 
     def save(self, path) -> None:
         """Write the field to ``path``, atomically: what lies in occupied space, the voxels as float16."""
-        path = Path(path)
-        temporary = path.with_name(path.name + ".partial")
-        n = round(len(self.occupied_distance) ** (1 / 3))
-        occupied = (self.occupied_distance == 0).reshape(n, n, n)
-        grid = self.grid.within(occupied)
-        try:
-            with open(temporary, "wb") as file:
-                np.savez_compressed(
-                    file,
-                    version=VERSION,
-                    centre=self.centre,
-                    numbers=[self.half, self.step, self.scale, self.shift, self.near],
-                    sizes=grid.sizes,
-                    kept=np.packbits(grid.table > 0),
-                    values=grid.values.astype(np.float16),
-                    occupied=np.packbits(occupied),
-                    cells=n,
-                    **dict(zip(("background", "inner", "outer"), self.shading.parameters)),
-                )
-            os.replace(temporary, path)
-        finally:
-            temporary.unlink(missing_ok=True)
+        grid = self.grid.within(cells(self.occupied.mask))
+        with replacing(path) as temporary, open(temporary, "wb") as file:
+            np.savez_compressed(
+                file,
+                version=VERSION,
+                centre=self.centre,
+                numbers=[self.half, self.step, self.scale, self.shift, self.near],
+                sizes=grid.sizes,
+                roots=np.packbits(grid.roots > 0),
+                kept=np.packbits(grid.table > 0),
+                values=grid.values.astype(np.float16),
+                occupied=self.occupied.mask,
+                background=self.shading.background,
+                inner=self.shading.inner,
+                outer=self.shading.outer,
+            )
 
     @classmethod
     def load(cls, path) -> "Field":
@@ -191,22 +189,22 @@ class Field:
             raise ValueError(f"{path} is damaged: {error}; train it again") from None
 
     @classmethod
-    def _from_arrays(cls, centre, numbers, sizes, kept, values, occupied, cells, background, inner, outer) -> "Field":
-        n = int(cells)
+    def _from_arrays(cls, centre, numbers, sizes, roots, kept, values, occupied, background, inner, outer) -> "Field":
         sizes = sizes.astype(np.int64).reshape(-1)
-        if not (0 < n <= 1024 and len(sizes) > 0 and ((sizes > 0) & (sizes <= 4096)).all()):
-            raise ValueError(f"its grids have {n} and {sizes} cells")
-        entries = int(((sizes // BRICK + 1) ** 3).sum())
-        if kept.dtype != np.uint8 or kept.shape != ((entries + 7) // 8,) or occupied.shape != ((n**3 + 7) // 8,):
-            raise ValueError("its tables have the wrong size")
-        flags = np.unpackbits(kept, count=entries).astype(bool)
-        table = np.zeros(entries, np.int32)
-        table[flags] = 1 + np.arange(flags.sum())
+        if not (len(sizes) > 0 and ((sizes > 0) & (sizes <= 4096)).all()):
+            raise ValueError(f"its grids have {sizes} cells")
+        m = round(occupied.size ** (1 / 3))
+        if occupied.dtype != np.uint64 or not 0 < m <= 256 or occupied.shape != (m**3,):
+            raise ValueError("its occupancy has the wrong size")
+        roots = _numbered(roots, int(((sizes // BRICK**2 + 1) ** 3).sum()))
+        table = _numbered(kept, BRICK**3 * (1 + int(roots.max())))
+        if table[: BRICK**3].any():
+            raise ValueError("its tables contradict each other")
         hidden = inner.shape[-1] if inner.ndim == 2 else -1
         shapes = {
-            "centre": (centre, (3,)), "numbers": (numbers, (5,)), "background": (background, (3,)),
+            "centre": (centre, (3,)), "numbers": (numbers, (5,)), "background": (background, (3,) if background.size else (0,)),
             "inner": (inner, (16, hidden)), "outer": (outer, (hidden, 3)),
-            "values": (values, (BRICK**3 * (1 + int(flags.sum())), CHANNELS)),
+            "values": (values, (BRICK**3 * (1 + int(table.max())), CHANNELS)),
         }  # fmt: skip
         for name, (array, shape) in shapes.items():
             if array.shape != shape or array.dtype.kind != "f" or not np.isfinite(array).all():
@@ -214,7 +212,14 @@ class Field:
         half, step, scale, shift, near = map(float, numbers)
         if not (half > 0 and step > 0 and scale > 0 and near >= 0):
             raise ValueError("its box, step and scale must be positive")
-        occupied = np.unpackbits(occupied, count=n**3).reshape(n, n, n)
         shading = Shading(*(np.ascontiguousarray(p, np.float32) for p in (background, inner, outer)))
-        grid = Grid(sizes, table, np.ascontiguousarray(values, np.float32))
-        return cls(centre.astype(float), half, grid, shading, distances(occupied), step, scale, shift, near)
+        grid = Grid(sizes, roots, table, np.ascontiguousarray(values, np.float32))
+        return cls(centre.astype(float), half, grid, shading, Occupancy.from_mask(occupied), step, scale, shift, near)
+
+
+def _numbered(bits: np.ndarray, count: int) -> np.ndarray:
+    """``count`` packed flags -> their numbers from 1 on, 0 where a flag is not set."""
+    if bits.dtype != np.uint8 or bits.shape != ((count + 7) // 8,):
+        raise ValueError("its tables have the wrong size")
+    flags = np.unpackbits(bits, count=count)
+    return (flags * np.cumsum(flags, dtype=np.int32)).astype(np.int32)

@@ -3,15 +3,17 @@
     field = fit(views, points=points, seed=0)
 
 Coarse to fine: while training goes on, levels join the pyramid (`scene.grid`), the pictures get larger and the space
-that rays pass through shrinks to what is occupied. Rays come in small patches of pixels, whose neighbours
-read the same voxels while these are in the cache. The points of the reconstruction say where surfaces are to be expected.
+that rays pass through shrinks to what is seen. The points of the reconstruction say where surfaces are to be expected.
+
+Pictures taken before a plain backdrop (`scene.photographs.backdrop`) keep its colour behind everything. Other scenes go on
+to where no picture reaches, and every ray of them ends somewhere: at first another random colour stands behind
+each ray, so that only something opaque can explain it, and space that the cameras look through to points is empty.
 """
 
 import hashlib
-import os
 import time
 import warnings
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -20,13 +22,23 @@ from tqdm import tqdm
 from scene import kernels, occupancy
 from scene.descent import KernelDescent, Rates
 from scene.field import Field, Shading
+from scene.files import replacing
 from scene.grid import Grid
-from scene.photographs import Photographs
-from scene.volume import psnr
+from scene.photographs import Photographs, backdrop
 
 SCALE = 50.0
-STEPS = 1200
-"""Default number of steps: 60 to 75 s on two cores for 42 photographs of 640x480."""
+STEPS = 2400
+"""Default number of steps: 90 to 110 s on two cores for 42 photographs of 640x480."""
+BATCH = 2048
+"""Rays a step."""
+FINEST = 1024
+"""Cells an axis of the finest level, at most."""
+NEAR = 0.02
+"""Where the rays of a new view begin, in units of the box's half width."""
+OPAQUE = 0.1
+"""Until this fraction of training, random colours stand behind a scene that has no backdrop."""
+SWEEP = 8
+"""Before pruning, every so many-th pixel of all pictures is looked through, an axis."""
 
 
 @dataclass(frozen=True)
@@ -34,8 +46,8 @@ class Stage:
     """What training works on from the fraction ``begin`` of its steps (or seconds) on.
 
     levels: the pyramid's, cells an axis; cells: of the occupancy grid, an axis; spacing: of samples, in voxels of the
-    finest level; shrink: how many times smaller the pictures are; prune: after so many steps, and again; batch: rays a step;
-    visible: cells stay occupied if some sample in or beside them had this weight since the last pruning.
+    finest level; shrink: how many times smaller the pictures are; prune: after so many steps, and again; visible: cells
+    stay occupied if since the last pruning a sample in or beside them had this share of its ray's largest weight.
     """
 
     begin: float
@@ -44,15 +56,23 @@ class Stage:
     spacing: float
     shrink: int
     prune: int
-    batch: int
     visible: float
 
 
-STAGES = (
-    Stage(0.0, (96,), 64, 0.8, 4, 300, 1024, 0.02),
-    Stage(0.08, (96, 256), 128, 0.9, 2, 200, 2048, 0.03),
-    Stage(0.25, (96, 256, 768), 256, 1.0, 1, 200, 4096, 0.05),
-)
+def schedule(views) -> tuple[Stage, ...]:
+    """The stages for pictures of this size: the finest voxels are about one and a half pixels wide."""
+    width = max(view.camera.width for view in views)
+    fine = int(np.clip(round(1.6 * width / 64) * 64, 256, FINEST))
+    middle = fine // 128 * 40
+    most = 512 if fine > 768 else 256
+    return (
+        Stage(0.00, (96,), 64, 0.8, 4, 150, 0.10),
+        Stage(0.04, (96,), 128, 0.8, 4, 150, 0.15),
+        Stage(0.08, (96, middle), 128, 1.5, 2, 150, 0.15),
+        Stage(0.14, (96, middle), 256, 1.5, 2, 150, 0.15),
+        Stage(0.20, (96, middle), most, 1.0, 1, 200, 0.30),
+        Stage(0.26, (96, middle, fine), most, 1.0, 1, 500, 0.30),
+    )
 
 
 @dataclass
@@ -62,12 +82,12 @@ class Training:
     field: Field
     descent: KernelDescent
     occupied: np.ndarray  # (n, n, n) bool
-    seen: np.ndarray  # (n^3,) largest weight a sample of each cell has had since the last pruning
+    seen: np.ndarray  # cells that were seen since the last pruning, as bits (`occupancy.cells`)
+    surface: np.ndarray  # cells that held a surface since then
     stage: int = -1
     step: int = 0
     pruned: int = 0  # the step of the last pruning
     seconds: float = 0.0
-    empty: np.ndarray | bool = False  # (n, n, n) cells known to be empty
 
 
 def fit(
@@ -84,11 +104,9 @@ def fit(
     progress: bool = True,
     bounds=None,
     deterministic: bool = False,
-    stages=STAGES,
-    patch: int = 2,
-    rates: tuple[float, float, float, float] = (0.3, 0.02, 0.01, 0.003),
-    decay: float = 0.1,
-    huber: float = 0.1,
+    stages: tuple[Stage, ...] | None = None,
+    rates: tuple[float, float, float, float] = (0.08, 0.012, 0.003, 0.001),
+    decay: float = 0.5,
     thin: float = 0.1,
     prior: float = 5.0,
     hidden: int = 32,
@@ -102,13 +120,16 @@ def fit(
     training goes on; removed at the end. bounds: (2, 3) corners of the box of interest [m], else from points or cameras.
     deterministic: one thread, bit-equal results. device: "cpu", "cuda", or "auto".
 
-    patch: rays come from patches of patch x patch pixels. rates: of density, colour, features, network, falling to
-    ``decay`` of it. huber: the error [0..1] beyond which the loss grows only linearly. hidden: width of the network.
+    stages: default `schedule`. rates: of density, colour, features, network, falling to
+    ``decay`` of it. thin: density of the fog that training begins with, and prior: raw density it begins with at points. hidden:
+    width of the network.
     """
     _check(views)
+    stages = stages or schedule(views)
     run = _resume(checkpoint, views, seed, stages) or _start(views, points, bounds, seed, hidden, deterministic, device, thin)
     limit = steps if steps is not None else STEPS if seconds is None else None
     clock, saved = time.perf_counter() - run.seconds, time.perf_counter()
+    nearest = occupancy.nearest(views, points) / run.field.half
     pictures, error = None, None
     bar = tqdm(total=limit, initial=run.step, desc="train", disable=not progress, leave=False)
     while True:
@@ -116,14 +137,16 @@ def fit(
         done = max(run.step / limit if limit else 0.0, run.seconds / seconds if seconds else 0.0)
         if done >= 1:
             break
-        if _advance(run, stages, done, points, prior, views) or pictures is None:
+        if _advance(run, stages, done, points, prior, views, nearest) or pictures is None:
             stage = stages[run.stage]
-            pictures = Photographs.of(views, run.field.centre, run.field.half, run.field.near, stage.shrink)
+            pictures = Photographs.of(views, run.field.centre, run.field.half, nearest, stage.shrink)
         rng = np.random.default_rng((seed, run.step))
-        rays, target = pictures.draw(rng, stages[run.stage].batch, patch)
+        rays, target = pictures.draw(rng, BATCH)
         jitter = rng.random(len(target), np.float32)
         now = Rates(*(rate * decay**done for rate in rates))
-        mse = run.descent.step(rays, target, jitter, now, huber, run.seen, stages[run.stage].visible)
+        open_ended = not len(run.field.shading.background) and done < OPAQUE
+        behind = rng.random((len(target), 3), np.float32) if open_ended else run.field.behind(len(target))
+        mse = run.descent.step(rays, target, behind, jitter, now, run.seen, run.surface, stages[run.stage].visible)
         error = mse if error is None else 0.95 * error + 0.05 * mse
         run.step += 1
         bar.update(1)
@@ -149,42 +172,51 @@ def _start(views, points, bounds, seed, hidden, deterministic, device, thin) -> 
     if device not in ("auto", "cpu"):
         raise ValueError(f"device {device!r} is not there; use 'cpu' or 'auto'")
     centre, half = occupancy.box_of_interest(views, points, bounds)
-    scale = SCALE
     occupied = occupancy.seen(views, centre, half, 64)
+    shading = Shading.initial(np.random.default_rng(seed), backdrop(views), hidden)
     field = Field(
-        centre, half, Grid.empty(), Shading.initial(np.random.default_rng(seed), hidden), occupancy.distances(occupied),
-        step=1.0, scale=scale, shift=float(np.log(np.expm1(thin / scale))), near=0.05,
+        centre, half, Grid.empty(), shading, occupancy.Occupancy.of(occupied),
+        step=1.0, scale=SCALE, shift=float(np.log(np.expm1(thin / SCALE))), near=NEAR,
     )  # fmt: skip
     descent = KernelDescent(field, 1 if deterministic else kernels.THREADS)
-    return Training(field, descent, occupied, np.zeros(1, np.uint8))
+    return Training(field, descent, occupied, np.zeros(1, np.uint64), np.zeros(1, np.uint64))
 
 
-def _advance(run: Training, stages, done: float, points, prior, views) -> bool:
+def _advance(run: Training, stages, done: float, points, prior, views, nearest) -> bool:
     """Prune, and go to the next stage, when it is time. True if a stage begins."""
     due = run.step - run.pruned >= stages[run.stage].prune or run.stage < 0
     begins = due and run.stage + 1 < len(stages) and done >= stages[run.stage + 1].begin
     if not (due or begins):
         return False
     if run.stage >= 0:
-        n = len(run.occupied)
-        run.occupied = (run.seen > 0).reshape(n, n, n)
+        _sweep(run, views, stages[run.stage].visible, nearest)
+        run.occupied = occupancy.cells(run.seen)
         if points is not None:
-            run.occupied |= occupancy.around(_places(run, points), n)
+            run.occupied |= occupancy.around(_places(run, points), len(run.occupied))
     if begins:
         run.stage += 1
         run.occupied = occupancy.resampled(run.occupied, stages[run.stage].cells)
     if run.step:
         run.occupied = occupancy.dilated(run.occupied)
-    if points is not None and len(points):
-        if begins:
-            run.empty = occupancy.empty_by_sight(views, points, run.field.centre, run.field.half, len(run.occupied))
-        run.occupied &= ~run.empty
-    run.field.occupied_distance = occupancy.distances(run.occupied)
-    run.seen = np.zeros(run.occupied.size, np.uint8)
-    run.pruned = run.step
+    if points is not None and len(points) and not len(run.field.shading.background) and len(run.occupied) <= 256:
+        run.occupied &= ~occupancy.empty_by_sight(views, points, run.field.centre, run.field.half, len(run.occupied))
+    run.field.occupied = occupancy.Occupancy.of(run.occupied)
     if begins:
         _grow(run, stages[run.stage], points, prior)
+    run.seen, run.surface = (np.zeros(len(run.field.occupied.mask), np.uint64) for _ in range(2))
+    run.pruned = run.step
     return begins
+
+
+def _sweep(run: Training, views, visible: float, nearest: float) -> None:
+    """Note what all pictures see, so that no cell is pruned for want of a ray."""
+    rng = np.random.default_rng(run.step)
+    for view in views:
+        x, y = rng.random(2) * SWEEP
+        pixels = np.stack(np.meshgrid(np.arange(x, view.camera.width, SWEEP), np.arange(y, view.camera.height, SWEEP)), -1)
+        rays = run.field.rays(*view.camera.rays(pixels.reshape(-1, 2)))
+        rays.near[:] = nearest
+        run.field.march(rays, keep=100, seen=run.seen, surface=run.surface, visible=visible, threads=run.descent.threads)
 
 
 def _places(run: Training, points) -> np.ndarray:
@@ -195,7 +227,7 @@ def _grow(run: Training, stage: Stage, points, prior) -> None:
     """Add the stage's new levels; the first one starts grey, and dense where the points are."""
     grid = run.field.grid
     for size in stage.levels[len(grid.sizes) :]:
-        grid = grid.with_level(size, run.occupied)
+        grid = grid.with_level(size, run.occupied if len(grid.sizes) < 2 else occupancy.dilated(occupancy.cells(run.surface)))
     if run.stage == 0:
         grid.values[64:, 1:4] = 0.5
         if points is not None:
@@ -214,17 +246,15 @@ def _fingerprint(views, seed, stages) -> str:
 
 def _save(run: Training, path, views, seed, stages) -> None:
     """Write a checkpoint, atomically."""
-    temporary = Path(path).with_name(Path(path).name + ".partial")
     field = run.field
-    with open(temporary, "wb") as file:
+    with replacing(path) as temporary, open(temporary, "wb") as file:
         np.savez(
             file, fingerprint=_fingerprint(views, seed, stages), centre=field.centre, sizes=field.grid.sizes,
-            numbers=[field.half, field.step, field.scale, field.shift, field.near], table=field.grid.table,
-            values=field.grid.values, occupied=run.occupied, seen=run.seen, background=field.shading.background,
+            numbers=[field.half, field.step, field.scale, field.shift, field.near],
+            roots=field.grid.roots, table=field.grid.table, values=field.grid.values, occupied=run.occupied, seen=run.seen, surface=run.surface, background=field.shading.background,
             inner=field.shading.inner, outer=field.shading.outer, threads=run.descent.threads,
             progress=[run.stage, run.step, run.pruned], seconds=run.seconds, **run.descent.state(),
         )  # fmt: skip
-    os.replace(temporary, path)
 
 
 def _resume(path, views, seed, stages) -> Training | None:
@@ -240,13 +270,13 @@ def _resume(path, views, seed, stages) -> Training | None:
     if str(state["fingerprint"]) != _fingerprint(views, seed, stages):
         warnings.warn(f"the checkpoint {path} is of another training; training starts afresh", stacklevel=3)
         return None
-    grid = Grid(state["sizes"], state["table"], state["values"])
+    grid = Grid(state["sizes"], state["roots"], state["table"], state["values"])
     shading = Shading(state["background"], state["inner"], state["outer"])
     field = Field(
-        state["centre"], float(state["numbers"][0]), grid, shading, occupancy.distances(state["occupied"]),
+        state["centre"], float(state["numbers"][0]), grid, shading, occupancy.Occupancy.of(state["occupied"]),
         *map(float, state["numbers"][1:]),
     )  # fmt: skip
     descent = KernelDescent(field, int(state["threads"]))
     descent.restore(state)
     stage, step, pruned = map(int, state["progress"])
-    return Training(field, descent, state["occupied"], state["seen"], stage, step, pruned, float(state["seconds"]))
+    return Training(field, descent, state["occupied"], state["seen"], state["surface"], stage, step, pruned, float(state["seconds"]))

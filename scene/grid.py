@@ -4,10 +4,12 @@ Notation
     c                   a place in contracted space, the cube [-2, 2]^3 (`scene.volume.contract`)
     level l             N_l cells along each axis, hence N_l + 1 voxels (the cells' corners)
     brick               4^3 neighbouring voxels, stored together: 64 rows of ``values``
-    table               for each level, row-major over its bricks: the brick's place in ``values``; 0 where none is kept
+    root                4^3 neighbouring bricks; ``roots`` holds, for each level and row-major, its place in ``table``
+    table               64 rows for each kept root: the place of each of its bricks in ``values``
     f(c) = sum_l trilinear(level l, c)      8 channels: raw density, 3 diffuse colour, 4 features
 
-Brick 0 is all zeros and is never trained: a level says nothing where it keeps no brick. The levels add
+Root 0 and brick 0 stand for what is not kept. Brick 0 is all zeros and is never trained: a level says nothing where
+it keeps no brick. Two steps to a voxel keep what is read for a surface small enough for a processor's cache. The levels add
 up, as in a Laplacian pyramid: the coarse ones learn the rough shape at once and the fine ones what remains.
 """
 
@@ -17,6 +19,7 @@ import numpy as np
 import torch
 
 from scene import kernels
+from scene.occupancy import blocks
 
 BRICK = 4
 CHANNELS = kernels.CHANNELS
@@ -24,20 +27,22 @@ CHANNELS = kernels.CHANNELS
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """sizes (L,) cells per axis; table (sum of bricks,) int32; values (64 * bricks, 8) float32, trained in place."""
+    """sizes (L,) cells per axis; roots (sum,), table (64 * roots kept,) int32; values (64 * bricks, 8) float32, trained in place."""
 
     sizes: np.ndarray
+    roots: np.ndarray
     table: np.ndarray
     values: np.ndarray
 
     @classmethod
     def empty(cls) -> "Grid":
-        return cls(np.zeros(0, np.int64), np.zeros(0, np.int32), np.zeros((BRICK**3, CHANNELS), np.float32))
+        nothing = np.zeros(0, np.int32)
+        return cls(np.zeros(0, np.int64), nothing, np.zeros(BRICK**3, np.int32), np.zeros((BRICK**3, CHANNELS), np.float32))
 
     @property
     def starts(self) -> np.ndarray:
-        """(L,) where each level begins in ``table``."""
-        return np.concatenate([[0], np.cumsum((self.sizes // BRICK + 1) ** 3)])[:-1].astype(np.int64)
+        """(L,) where each level begins in ``roots``."""
+        return np.concatenate([[0], np.cumsum((self.sizes // BRICK**2 + 1) ** 3)])[:-1].astype(np.int64)
 
     @property
     def bricks(self) -> int:
@@ -45,19 +50,24 @@ class Grid:
 
     def with_level(self, size: int, occupied: np.ndarray) -> "Grid":
         """One more level of ``size`` cells, its bricks kept where a cell of ``occupied`` (n, n, n) needs them."""
-        count = size // BRICK + 1
         wanted = bricks_over(occupied, size)
-        table = np.zeros(count**3, np.int32)
-        table[wanted] = self.bricks + np.arange(wanted.sum())
-        values = lengthened(self.values, len(self.values) + int(wanted.sum()) * BRICK**3)
-        return replace(
-            self, sizes=np.append(self.sizes, size).astype(np.int64), table=np.concatenate([self.table, table]), values=values
-        )
+        kept = wanted.any(1)
+        roots = np.where(kept, len(self.table) // BRICK**3 - 1 + np.cumsum(kept), 0).astype(np.int32)
+        wanted = wanted[kept].ravel()
+        table = np.where(wanted, self.bricks - 1 + np.cumsum(wanted), 0).astype(np.int32)
+        return Grid(
+            np.append(self.sizes, size).astype(np.int64), np.concatenate([self.roots, roots]),
+            np.concatenate([self.table, table]), lengthened(self.values, len(self.values) + int(wanted.sum()) * BRICK**3),
+        )  # fmt: skip
 
     def within(self, occupied: np.ndarray) -> "Grid":
         """The grid with only those bricks that cells of ``occupied`` (n, n, n) need."""
-        wanted = np.concatenate([bricks_over(occupied, int(size)) for size in self.sizes])
-        kept = np.flatnonzero(wanted & (self.table > 0))
+        table = np.zeros_like(self.table).reshape(-1, BRICK**3)
+        for start, size in zip(self.starts, self.sizes):
+            wanted = bricks_over(occupied, int(size))
+            roots = self.roots[start : start + len(wanted)]
+            table[roots[roots > 0]] = wanted[roots > 0]
+        kept = np.flatnonzero(table.ravel() * self.table)
         table = np.zeros_like(self.table)
         table[kept] = 1 + np.arange(len(kept))
         bricks = self.values.reshape(-1, BRICK**3, CHANNELS)[np.append(0, self.table[kept])]
@@ -68,9 +78,9 @@ class Grid:
         size, start = int(self.sizes[level]), int(self.starts[level])
         low = np.clip(np.floor((places + 2) * (size / 4)).astype(np.int64), 0, size - 1)
         voxel = (low[:, None] + np.array(list(np.ndindex(2, 2, 2)))).reshape(-1, 3)
-        count = size // BRICK + 1
-        brick = self.table[start + np.ravel_multi_index(tuple((voxel // BRICK).T), (count,) * 3)].astype(np.int64)
-        row = brick * BRICK**3 + np.ravel_multi_index(tuple((voxel % BRICK).T), (BRICK,) * 3)
+        root = self.roots[start + np.ravel_multi_index(tuple((voxel // BRICK**2).T), (size // BRICK**2 + 1,) * 3)].astype(np.int64)
+        brick = self.table[root * BRICK**3 + _inner(voxel // BRICK)].astype(np.int64)
+        row = brick * BRICK**3 + _inner(voxel)
         return np.unique(row[brick > 0])
 
     def look_up(self, places: np.ndarray, threads: int = kernels.THREADS) -> np.ndarray:
@@ -78,14 +88,20 @@ class Grid:
         places = np.ascontiguousarray(places, np.float32)
         out = np.empty((len(places), CHANNELS), np.float32)
         kernels.in_parallel(
-            kernels.look_up, len(places), threads, places, self.sizes, self.table, self.starts, self.values, out
+            kernels.look_up, len(places), threads, places, self.sizes, self.roots, self.starts, self.table, self.values, out
         )
         return out
 
 
+def _inner(index):
+    """Place (...,) of what has this index (..., 3) among the 4^3 of its brick, or root."""
+    inside = index % BRICK
+    return (inside[..., 0] * BRICK + inside[..., 1]) * BRICK + inside[..., 2]
+
+
 def bricks_over(occupied: np.ndarray, size: int) -> np.ndarray:
-    """(bricks,) bool, row-major: which bricks of a level of ``size`` cells hold a corner of a cell in occupied space."""
-    count, n = size // BRICK + 1, len(occupied)
+    """(roots, 64) bool: which bricks of a level of ``size`` cells hold a corner of a cell in occupied space."""
+    count, n = BRICK * (size // BRICK**2 + 1), len(occupied)
     # Along one axis, brick b holds voxels 4b..4b+3, which touch the cells 4b-1..4b+3, that is this span of ``occupied``:
     first = np.clip((BRICK * np.arange(count) - 1) * n // size, 0, n - 1)
     last = np.clip(((BRICK * np.arange(count) + BRICK) * n - 1) // size, 0, n - 1)
@@ -93,7 +109,7 @@ def bricks_over(occupied: np.ndarray, size: int) -> np.ndarray:
     for axis in range(3):
         spans = [np.take(wanted, np.minimum(first + k, last), axis=axis) for k in range((last - first).max() + 1)]
         wanted = np.logical_or.reduce(spans)
-    return wanted.ravel()
+    return blocks(wanted)
 
 
 def lengthened(rows: np.ndarray, count: int) -> np.ndarray:
@@ -103,20 +119,20 @@ def lengthened(rows: np.ndarray, count: int) -> np.ndarray:
     return longer
 
 
-def interpolate(values: torch.Tensor, table: torch.Tensor, sizes, starts, places: torch.Tensor) -> torch.Tensor:
+def interpolate(values: torch.Tensor, table: torch.Tensor, roots: torch.Tensor, sizes, starts, places: torch.Tensor) -> torch.Tensor:
     """f(c) (..., 8) at contracted places (..., 3): the kernels' twin, differentiable in ``values``, on any device."""
     total = torch.zeros(*places.shape[:-1], values.shape[-1], dtype=values.dtype, device=values.device)
     for size, start in zip(map(int, sizes), map(int, starts)):
         p = (places + 2) * (size / 4)
         low = p.floor().long().clamp(0, size - 1)
         fraction = (p - low).to(values.dtype)
-        count = size // BRICK + 1
+        count = size // BRICK**2 + 1
         for corner in np.ndindex(2, 2, 2):
             offset = torch.tensor(corner, device=places.device)
             voxel = low + offset
-            brick, inside = voxel // BRICK, voxel % BRICK
-            entry = table[start + (brick[..., 0] * count + brick[..., 1]) * count + brick[..., 2]].long()
-            row = entry * BRICK**3 + (inside[..., 0] * BRICK + inside[..., 1]) * BRICK + inside[..., 2]
+            x, y, z = (voxel // BRICK**2).unbind(-1)
+            root = roots[start + (x * count + y) * count + z].long()
+            row = table[root * BRICK**3 + _inner(voxel // BRICK)].long() * BRICK**3 + _inner(voxel)
             weight = torch.where(offset.bool(), fraction, 1 - fraction).prod(-1, keepdim=True)
             total = total + weight * values[row]
     return total

@@ -12,7 +12,6 @@ the two intrinsics at the top say it in LLVM's words and work on every processor
 import os
 from concurrent.futures import ThreadPoolExecutor
 
-import numba
 import numpy as np
 from llvmlite import ir
 from numba import njit
@@ -26,13 +25,18 @@ _FAST = {"nogil": True, "cache": True, "fastmath": {"nsz", "arcp", "contract", "
 
 
 def in_parallel(kernel, count: int, threads: int, *arguments) -> None:
-    """Run ``kernel(first, last, thread, *arguments)`` over [0, count), split evenly among ``threads``."""
+    """Run ``kernel(first, last, piece, *arguments)`` over [0, count) in `pieces` pieces of like size."""
     if threads == 1:
         return kernel(0, count, 0, *arguments)
-    bounds = [count * k // threads for k in range(threads + 1)]
-    jobs = [_POOL.submit(kernel, bounds[k], bounds[k + 1], k, *arguments) for k in range(threads)]
+    bounds = [count * k // pieces(threads) for k in range(pieces(threads) + 1)]
+    jobs = [_POOL.submit(kernel, bounds[k], bounds[k + 1], k, *arguments) for k in range(pieces(threads))]
     for job in jobs:
         job.result()
+
+
+def pieces(threads: int) -> int:
+    """How many pieces threads share: several each, as one ray is more work than another."""
+    return 1 if threads == 1 else 6 * threads
 
 
 def _vector_pointer(context, builder, array_type, array, row):
@@ -104,9 +108,20 @@ def _place(ox, oy, oz, dx, dy, dz, t):
     return x * g, y * g, z * g, np.sqrt(vx * vx + vy * vy + vz * vz), r
 
 
+@njit(forceinline=True)
+def _row(x, y, z, roots, root, count, table):
+    """Row of ``values`` of a voxel: its level's root leads to 4^3 entries of ``table``, and these to bricks."""
+    block = np.int64(roots[root + ((x >> 4) * count + (y >> 4)) * count + (z >> 4)])
+    entry = (block << 6) + (((x >> 2) & 3) << 4) + (((y >> 2) & 3) << 2) + ((z >> 2) & 3)
+    return (np.int64(table[entry]) << 6) + ((x & 3) << 4) + ((y & 3) << 2) + (z & 3)
+
+
 @njit(forceinline=True, fastmath=_FAST["fastmath"], error_model="numpy")
-def _corners(cx, cy, cz, size, table, start):
-    """The eight voxels around a contracted place on a level of ``size`` cells, and their trilinear weights."""
+def _corners(cx, cy, cz, size, roots, root, table):
+    """The eight voxels around a contracted place on a level of ``size`` cells, and their trilinear weights.
+
+    ``root`` is where the level begins in ``roots``.
+    """
     scale = np.float32(0.25) * np.float32(size)
     px, py, pz = (cx + np.float32(2.0)) * scale, (cy + np.float32(2.0)) * scale, (cz + np.float32(2.0)) * scale
     x0 = min(max(np.int64(px), 0), size - 1)
@@ -114,62 +129,94 @@ def _corners(cx, cy, cz, size, table, start):
     z0 = min(max(np.int64(pz), 0), size - 1)
     fx, fy, fz = px - np.float32(x0), py - np.float32(y0), pz - np.float32(z0)
     gx, gy, gz = np.float32(1.0) - fx, np.float32(1.0) - fy, np.float32(1.0) - fz
-    bricks = (size >> 2) + 1
-    bx0, bx1 = start + (x0 >> 2) * bricks * bricks, start + ((x0 + 1) >> 2) * bricks * bricks
-    by0, by1 = (y0 >> 2) * bricks, ((y0 + 1) >> 2) * bricks
-    bz0, bz1 = z0 >> 2, (z0 + 1) >> 2
-    lx0, lx1 = (x0 & 3) << 4, ((x0 + 1) & 3) << 4
-    ly0, ly1 = (y0 & 3) << 2, ((y0 + 1) & 3) << 2
-    lz0, lz1 = z0 & 3, (z0 + 1) & 3
-    rows = (
-        (np.int64(table[bx0 + by0 + bz0]) << 6) + lx0 + ly0 + lz0,
-        (np.int64(table[bx0 + by0 + bz1]) << 6) + lx0 + ly0 + lz1,
-        (np.int64(table[bx0 + by1 + bz0]) << 6) + lx0 + ly1 + lz0,
-        (np.int64(table[bx0 + by1 + bz1]) << 6) + lx0 + ly1 + lz1,
-        (np.int64(table[bx1 + by0 + bz0]) << 6) + lx1 + ly0 + lz0,
-        (np.int64(table[bx1 + by0 + bz1]) << 6) + lx1 + ly0 + lz1,
-        (np.int64(table[bx1 + by1 + bz0]) << 6) + lx1 + ly1 + lz0,
-        (np.int64(table[bx1 + by1 + bz1]) << 6) + lx1 + ly1 + lz1,
-    )
+    count = (size >> 4) + 1
+    x1, y1, z1 = x0 + 1, y0 + 1, z0 + 1
     a, b, c, d = gx * gy, gx * fy, fx * gy, fx * fy
-    return rows, (a * gz, a * fz, b * gz, b * fz, c * gz, c * fz, d * gz, d * fz)
+    weights = (a * gz, a * fz, b * gz, b * fz, c * gz, c * fz, d * gz, d * fz)
+    base = _row(x0, y0, z0, roots, root, count, table)
+    if (x0 & 3) < 3 and (y0 & 3) < 3 and (z0 & 3) < 3:
+        rows = (base, base + 1, base + 4, base + 5, base + 16, base + 17, base + 20, base + 21)
+        return rows, weights
+    rows = (
+        base,
+        _row(x0, y0, z1, roots, root, count, table),
+        _row(x0, y1, z0, roots, root, count, table),
+        _row(x0, y1, z1, roots, root, count, table),
+        _row(x1, y0, z0, roots, root, count, table),
+        _row(x1, y0, z1, roots, root, count, table),
+        _row(x1, y1, z0, roots, root, count, table),
+        _row(x1, y1, z1, roots, root, count, table),
+    )
+    return rows, weights
+
+
+@njit(forceinline=True)
+def _kept(rows):
+    """Whether any of eight rows lies in a brick that is kept; brick 0 stands for all that are not."""
+    return (rows[0] | rows[1] | rows[2] | rows[3] | rows[4] | rows[5] | rows[6] | rows[7]) >= 64
 
 
 @njit(forceinline=True, fastmath=_FAST["fastmath"], error_model="numpy")
 def _cell(cx, cy, cz, size):
-    """Index of a contracted place's cell in an occupancy grid of ``size`` cells an axis."""
+    """Number of a contracted place's cell in an occupancy grid of ``size`` cells an axis: 64 * block + place in the block."""
     scale = np.float32(0.25) * np.float32(size)
     x = min(max(np.int64((cx + np.float32(2.0)) * scale), 0), size - 1)
     y = min(max(np.int64((cy + np.float32(2.0)) * scale), 0), size - 1)
     z = min(max(np.int64((cz + np.float32(2.0)) * scale), 0), size - 1)
-    return (x * size + y) * size + z
+    blocks = size >> 2
+    block = ((x >> 2) * blocks + (y >> 2)) * blocks + (z >> 2)
+    return (block << 6) + ((x & 3) << 4) + ((y & 3) << 2) + (z & 3)
+
+
+@njit(forceinline=True)
+def _bit(cell):
+    return np.uint64(1) << np.uint64(cell & 63)
 
 
 @njit(forceinline=True, fastmath=_FAST["fastmath"], error_model="numpy")
-def _skip(empty, cell, step, speed, r):
+def _exit(c, v, size, empty):
+    """How far [t] along one axis a ray at c with velocity v stays in the cells nearer than ``empty`` to its own."""
+    scale = np.float32(0.25) * np.float32(size)
+    p = (c + np.float32(2.0)) * scale
+    index = np.float32(min(max(np.int64(p), 0), size - 1))
+    room = index + np.float32(empty) - p if v > np.float32(0.0) else p - index + np.float32(empty - 1)
+    return (room + np.float32(1e-3)) / max(abs(v) * scale, np.float32(1e-9))
+
+
+@njit(forceinline=True, fastmath=_FAST["fastmath"], error_model="numpy")
+def _leaves(c, v):
+    """How far [t] along one axis a ray at c in [-1, 1] with velocity v stays there."""
+    return (np.float32(1.0) - (c if v > np.float32(0.0) else -c)) / max(abs(v), np.float32(1e-9))
+
+
+@njit(forceinline=True, fastmath=_FAST["fastmath"], error_model="numpy")
+def _skip(cx, cy, cz, dx, dy, dz, size, empty, step, speed, r):
     """How far a ray may go [t] when the nearest occupied cell is ``empty`` cells away.
 
-    Outside the box the speed changes along the ray (at most twofold over a quarter of r), hence the half.
+    Outside the box rays are bent; no axis moves faster than ``speed``, which changes at most twofold over a quarter of r.
     """
-    length = max(np.float32(empty - 1) * cell, step) / speed
-    if r > np.float32(1.0) and empty > 1:
-        return max(min(np.float32(0.5) * length, np.float32(0.25) * r), step / speed)
-    return length
+    if r <= np.float32(1.0):
+        leaves = min(_leaves(cx, dx), min(_leaves(cy, dy), _leaves(cz, dz)))
+        t = min(_exit(cx, dx, size, empty), min(_exit(cy, dy, size, empty), _exit(cz, dz, size, empty)))
+        return min(t, max(leaves, step))
+    length = np.float32(4.0) / np.float32(size) * np.float32(empty - 1) / speed
+    return max(min(np.float32(0.5) * length, np.float32(0.25) * r), step / speed)
 
 
 @njit(**_FAST)
 def march(
-    first, last, thread, origins, directions, near, far, jitter, step, thickness, occupancy_size, distance, visible, seen,
-    sizes, table, starts, values, shift, stop, thin, keep, capacity, sample_first, sample_count,
-    sample_cell, sample_t, sample_stretch, sample_alpha, sample_feature, out, out_through, out_depth,
+    first, last, piece, origins, directions, near, far, jitter, step, thickness, occupancy_size, distance, mask, visible, seen, surface,
+    sizes, roots, starts, table, values, shift, stop, keep, capacity, sample_first, sample_count,
+    sample_cell, sample_t, sample_alpha, sample_feature, out, out_through, out_depth,
 ):  # fmt: skip
     """Forward: composite the grid's channels 1..7 along each ray, and keep the samples for `march_back`.
 
     origins, directions (n, 3); near, far, jitter (n,), jitter in [0, 1) of a step. The samples of a ray lie at
     sample_first[ray] + [0, sample_count[ray]). out (n, 8): channel 0 holds the expected distance, 1..7 the
     composited features; out_through (n,): transmittance left; out_depth (n,): distance where it crosses 1/2, or nan.
+    If samples are kept, ``surface`` gets a bit for each cell where that is, and ``seen`` for each with a sample
+    whose weight is at least ``visible`` of the ray's largest.
     """
-    cell = np.float32(4.0) / np.float32(occupancy_size)
     cursor = capacity * first
     end = capacity * last
     for ray in range(first, last):
@@ -184,39 +231,42 @@ def march(
         largest = np.float32(0.0)
         sample_first[ray] = cursor
         count = 0
-        stretch = np.float32(2.0)
         for c in range(CHANNELS):
             out[ray, c] = 0.0
         while t < far[ray] and through > stop and cursor < end:
             cx, cy, cz, speed, r = _place(ox, oy, oz, dx, dy, dz, t)
-            place = _cell(cx, cy, cz, occupancy_size)
-            empty = distance[place]
+            cell = _cell(cx, cy, cz, occupancy_size)
+            empty = distance[cell >> 6]
             if empty > 0:
-                t += _skip(empty, cell, step, speed, r)
+                t += _skip(cx, cy, cz, dx, dy, dz, occupancy_size >> 2, empty, step, speed, r)
                 continue
-            length = stretch * step / speed
+            if mask[cell >> 6] & _bit(cell) == 0:
+                t += _skip(cx, cy, cz, dx, dy, dz, occupancy_size, 1, step, speed, r)
+                continue
+            length = step / speed
             for c in range(CHANNELS):
                 sample_feature[cursor, c] = 0.0
             for level in range(sizes.shape[0]):
-                rows, weights = _corners(cx, cy, cz, sizes[level], table, starts[level])
-                _gather(sample_feature, cursor, values, rows, weights)
+                rows, weights = _corners(cx, cy, cz, sizes[level], roots, starts[level], table)
+                if _kept(rows):
+                    _gather(sample_feature, cursor, values, rows, weights)
             raw = sample_feature[cursor, 0] + shift
             density = raw if raw > np.float32(15.0) else np.log(np.float32(1.0) + np.exp(raw))
-            optical = density * thickness * stretch
+            optical = density * thickness
             kept = np.exp(-optical)
             weight = through * (np.float32(1.0) - kept)
             if through > np.float32(0.5) and through * kept <= np.float32(0.5):
+                if keep > 0:
+                    surface[cell >> 6] |= _bit(cell)
                 crossing = np.log(np.float32(2.0) * through) / max(optical, np.float32(1e-12))
                 depth = t + (crossing - np.float32(0.5)) * length
             largest = max(largest, weight)
-            sample_cell[cursor] = place
+            sample_cell[cursor] = cell
             expected += weight * t
             for c in range(1, CHANNELS):
                 out[ray, c] += weight * sample_feature[cursor, c]
             sample_t[cursor] = t
             sample_alpha[cursor] = np.float32(1.0) - kept
-            sample_stretch[cursor] = stretch
-            stretch = np.float32(1.0) if optical > thin * stretch else np.float32(2.0)
             through *= kept
             count += 1
             cursor += keep
@@ -227,7 +277,7 @@ def march(
             left = np.float32(1.0)
             for i in range(sample_first[ray], cursor):
                 if left * sample_alpha[i] > least:
-                    seen[sample_cell[i]] = 1
+                    seen[sample_cell[i] >> 6] |= _bit(sample_cell[i])
                 left *= np.float32(1.0) - sample_alpha[i]
         out[ray, 0] = expected
         out_through[ray] = through
@@ -243,14 +293,13 @@ def _mark(touched, rows):
 
 @njit(**_FAST)
 def march_back(
-    first, last, thread, origins, directions, step, thickness, sizes, table, starts, shift, distortion,
-    sample_first, sample_count, sample_t, sample_stretch, sample_alpha, sample_feature, out, out_through, grad_out, grad_through, gradient, touched,
+    first, last, piece, origins, directions, step, thickness, sizes, roots, starts, table, shift,
+    sample_first, sample_count, sample_t, sample_alpha, sample_feature, out, out_through, grad_out, grad_through, gradient, touched,
 ):  # fmt: skip
     """Backward of `march`: adds dL/d(values) to ``gradient`` and marks the voxels it wrote to in ``touched``.
 
     grad_out (n, 8), grad_through (n,): dL/d(out), dL/d(out_through). With dL/dw_i = g . f_i,
         dL/dsigma_i = step (T_{i+1} dL/dw_i - sum_{j>i} w_j dL/dw_j - T_end dL/dT_end)
-    ``distortion`` adds the gradient of distortion * sum_ij w_i w_j |s_i - s_j|, s = t / (1 + t) (mip-NeRF 360).
     """
     small = np.float32(1e-9)
     for ray in range(first, last):
@@ -259,25 +308,7 @@ def march_back(
         behind = out_through[ray] * grad_through[ray]
         for c in range(1, CHANNELS):
             behind += grad_out[ray, c] * out[ray, c]
-        total = np.float32(1.0) - out_through[ray]
-        weight_before = np.float32(0.0)
-        place_before = np.float32(0.0)
-        place_total = np.float32(0.0)
         begin = sample_first[ray]
-        if distortion > 0:
-            through = np.float32(1.0)
-            spread = np.float32(0.0)
-            for k in range(sample_count[ray]):
-                weight = through * sample_alpha[begin + k]
-                place = sample_t[begin + k] / (np.float32(1.0) + sample_t[begin + k])
-                spread += 2 * weight * (place * weight_before - place_before)
-                weight_before += weight
-                place_before += weight * place
-                through *= np.float32(1.0) - sample_alpha[begin + k]
-            place_total = place_before
-            behind += 2 * distortion * spread
-            weight_before = np.float32(0.0)
-            place_before = np.float32(0.0)
         through = np.float32(1.0)
         for k in range(sample_count[ray]):
             i = begin + k
@@ -287,16 +318,8 @@ def march_back(
             slope = np.float32(0.0)
             for c in range(1, CHANNELS):
                 slope += grad_out[ray, c] * sample_feature[i, c]
-            if distortion > 0:
-                place = sample_t[i] / (np.float32(1.0) + sample_t[i])
-                after = total - weight_before - weight
-                slope += 2 * distortion * (
-                    place * weight_before - place_before + (place_total - place_before - weight * place) - place * after
-                )
-                weight_before += weight
-                place_before += weight * place
             behind -= weight * slope
-            grad_density = thickness * sample_stretch[i] * (through * slope - behind)
+            grad_density = thickness * (through * slope - behind)
             raw = sample_feature[i, 0] + shift
             sample_feature[i, 0] = grad_density / (np.float32(1.0) + np.exp(-raw))
             largest = abs(sample_feature[i, 0])
@@ -307,9 +330,10 @@ def march_back(
                 continue
             cx, cy, cz, speed, r = _place(ox, oy, oz, dx, dy, dz, sample_t[i])
             for level in range(sizes.shape[0]):
-                rows, weights = _corners(cx, cy, cz, sizes[level], table, starts[level])
-                _scatter(gradient, rows, weights, sample_feature, i)
-                _mark(touched, rows)
+                rows, weights = _corners(cx, cy, cz, sizes[level], roots, starts[level], table)
+                if _kept(rows):
+                    _scatter(gradient, rows, weights, sample_feature, i)
+                    _mark(touched, rows)
 
 
 @njit(forceinline=True, fastmath=_FAST["fastmath"], error_model="numpy")
@@ -326,11 +350,11 @@ def _inputs(channels, through, directions, ray, x):
 
 
 @njit(**_FAST)
-def shade(first, last, thread, channels, through, directions, background, inner, outer, colour):
+def shade(first, last, piece, channels, through, directions, background, inner, outer, colour):
     """Composited channels (n, 8) -> colour (n, 3) = diffuse + T background + outer^T relu(inner^T x).
 
-    background (3,), inner (16, H), outer (H, 3). There is no bias: where a ray hits nothing, x = 0 and the background is
-    seen as it is. It does not depend on the direction, or it would explain surfaces away before they are found.
+    background (n, 3): what each ray meets behind everything; inner (16, H), outer (H, 3). There is no bias: where a
+    ray hits nothing, x = 0 and the background is seen as it is.
     """
     width = inner.shape[1]
     x, hidden = np.empty(16, np.float32), np.empty(width, np.float32)
@@ -341,7 +365,7 @@ def shade(first, last, thread, channels, through, directions, background, inner,
             for j in range(width):
                 hidden[j] += x[k] * inner[k, j]
         t = through[ray]
-        r, g, b = x[0] + t * background[0], x[1] + t * background[1], x[2] + t * background[2]
+        r, g, b = x[0] + t * background[ray, 0], x[1] + t * background[ray, 1], x[2] + t * background[ray, 2]
         for j in range(width):
             h = max(hidden[j], np.float32(0.0))
             r += h * outer[j, 0]
@@ -352,13 +376,13 @@ def shade(first, last, thread, channels, through, directions, background, inner,
 
 @njit(**_FAST)
 def shade_back(
-    first, last, thread, channels, through, directions, background, inner, outer, grad_colour,
-    grad_channels, grad_through, grad_background, grad_inner, grad_outer,
+    first, last, piece, channels, through, directions, background, inner, outer, grad_colour,
+    grad_channels, grad_through, grad_inner, grad_outer,
 ):  # fmt: skip
-    """Backward of `shade`. The gradients of the parameters have one more, leading, axis: a slice for each thread."""
+    """Backward of `shade`. The gradients of the parameters have one more, leading, axis: a slice for each piece."""
     width = inner.shape[1]
     x, hidden, grad_hidden = np.empty(16, np.float32), np.empty(width, np.float32), np.empty(width, np.float32)
-    to_background, to_inner, to_outer = grad_background[thread], grad_inner[thread], grad_outer[thread]
+    to_inner, to_outer = grad_inner[piece], grad_outer[piece]
     for ray in range(first, last):
         _inputs(channels, through, directions, ray, x)
         r, g, b = grad_colour[ray, 0], grad_colour[ray, 1], grad_colour[ray, 2]
@@ -373,7 +397,7 @@ def shade_back(
             to_outer[j, 0] += h * r
             to_outer[j, 1] += h * g
             to_outer[j, 2] += h * b
-        light = r * background[0] + g * background[1] + b * background[2]
+        light = r * background[ray, 0] + g * background[ray, 1] + b * background[ray, 2]
         for k in range(16):
             total = np.float32(0.0)
             for j in range(width):
@@ -384,8 +408,6 @@ def shade_back(
             elif through[ray] < np.float32(1.0):
                 light -= total * x[k] / (np.float32(1.0) - through[ray])
         grad_channels[ray, 0] = 0.0
-        for c in range(3):
-            to_background[c] += grad_colour[ray, c] * through[ray]
         grad_through[ray] = light
 
 
@@ -413,21 +435,22 @@ def pass_through(origins, directions, lengths, size, camera, least, cameras_thro
 
 
 @njit(**_FAST)
-def look_up(first, last, thread, places, sizes, table, starts, values, out):
+def look_up(first, last, piece, places, sizes, roots, starts, table, values, out):
     """The grid's 8 channels (n, 8) at contracted places (n, 3)."""
     for i in range(first, last):
         for c in range(CHANNELS):
             out[i, c] = 0.0
         for level in range(sizes.shape[0]):
-            rows, weights = _corners(places[i, 0], places[i, 1], places[i, 2], sizes[level], table, starts[level])
+            rows, weights = _corners(places[i, 0], places[i, 1], places[i, 2], sizes[level], roots, starts[level], table)
             _gather(out, i, values, rows, weights)
 
 
 @njit(**_FAST)
-def adam(first, last, thread, values, gradient, mean, square, touched, rates, beta1, beta2, correction, epsilon):
-    """One Adam step on the touched voxels (a bit for each of a brick's 64); clears gradient and marks.
+def rmsprop(first, last, piece, values, gradient, square, touched, rates, beta, unbiased, epsilon):
+    """One RMSProp step on the touched voxels (a bit for each of a brick's 64); clears gradient and marks.
 
-    rates (8,): learning rate of each channel; correction: sqrt(1 - beta2^k) / (1 - beta1^k).
+    rates (8,): learning rate of each channel; square: mean of squared gradients, 1 - beta the weight of the
+    newest one; unbiased: sqrt(1 - beta^k) at step k.
     """
     for brick in range(max(first, 1), last):
         marks = touched[brick]
@@ -438,11 +461,9 @@ def adam(first, last, thread, values, gradient, mean, square, touched, rates, be
                 for c in range(CHANNELS):
                     g = gradient[v, c]
                     gradient[v, c] = 0.0
-                    m = beta1 * mean[v, c] + (np.float32(1.0) - beta1) * g
-                    s = beta2 * square[v, c] + (np.float32(1.0) - beta2) * g * g
-                    mean[v, c] = m
+                    s = beta * square[v, c] + (np.float32(1.0) - beta) * g * g
                     square[v, c] = s
-                    values[v, c] -= rates[c] * correction * m / (np.sqrt(s) + epsilon)
+                    values[v, c] -= rates[c] * unbiased * g / (np.sqrt(s) + epsilon)
             marks >>= np.uint64(1)
             v += 1
 

@@ -3,12 +3,14 @@
 An occupancy grid is (n, n, n) bool over contracted space, the cube [-2, 2]^3 (`scene.volume.contract`).
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from scene import kernels
 
 MARGIN = 1.2  # width of the box of interest over that of the pictures there
-FARTHEST = 32  # distances to occupied cells are counted up to this many cells
+FARTHEST = 32  # distances to occupied blocks of cells are counted up to this many
 
 
 def box_of_interest(views, points=None, bounds=None) -> tuple[np.ndarray, float]:
@@ -41,6 +43,15 @@ def _focus(cameras) -> np.ndarray:
     across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
     weak = 1e-6 * np.eye(3)  # parallel axes: the point nearest to the cameras
     return np.linalg.solve(across.sum(0) + weak, (across @ centres[:, :, None]).sum(0)[:, 0] + weak @ centres.mean(0))
+
+
+def nearest(views, points=None) -> float:
+    """A distance [m] from all cameras within which nothing is, by the points (N, 3) that they may see; 0 without points."""
+    depths = [0.0]
+    for view in views if points is not None and len(points) >= 10 else ():
+        inside = view.camera.contains(view.camera.project(points))
+        depths.append(0.6 * float(np.percentile(view.camera.depth(points[inside]), 1)) if inside.any() else 0.0)
+    return min(depths[1:], default=0.0)
 
 
 def contract(x: np.ndarray) -> np.ndarray:
@@ -94,7 +105,9 @@ def empty_by_sight(views, points, centre, half: float, n: int, least: int = 3) -
         agrees = inside[k] & (np.abs(colours[k] - colour).max(-1) < 40)
         seen_points = points[agrees][_nearest(pixels[k, agrees], view.camera.depth(points[agrees]))]
         _look_through(k % 255, view.camera.centre, seen_points, centre, half, n, least, cameras_through, last)
-    return (cameras_through >= least).reshape(n, n, n) & ~dilated(around(contract((points - centre) / half), n))
+    m = n // 4
+    through = cells_of_blocks(cameras_through >= least, m)
+    return through & ~dilated(around(contract((points - centre) / half), n))
 
 
 def _nearest(pixels, depth, window: int = 24, tolerance: float = 1.08) -> np.ndarray:
@@ -141,15 +154,44 @@ def resampled(occupied: np.ndarray, n: int) -> np.ndarray:
     return occupied[np.ix_(index, index, index)]
 
 
-def distances(occupied: np.ndarray) -> np.ndarray:
-    """(n^3,) uint8: Chebyshev distance [cells] of each cell to the nearest occupied one, at most FARTHEST.
+def blocks(cells: np.ndarray) -> np.ndarray:
+    """(n, n, n) -> (n/4 ^3, 64): the cells in blocks of 4^3, blocks and cells row-major."""
+    m = len(cells) // 4
+    return np.ascontiguousarray(cells.reshape(m, 4, m, 4, m, 4).transpose(0, 2, 4, 1, 3, 5)).reshape(-1, 64)
 
-    Exact up to 64 cells an axis; in larger grids, cells that are not occupied get a lower bound from half the resolution.
+
+@dataclass(frozen=True, eq=False)
+class Occupancy:
+    """Which cells are occupied, as rays read it: for each block of 4^3 cells, row-major,
+
+    mask (m^3,) uint64: a bit for each cell; distance (m^3,) uint8: blocks to the nearest block that is not empty.
     """
-    n = len(occupied)
-    if n <= 64 or n % 2:
-        return kernels.chebyshev(np.ascontiguousarray(occupied, np.uint8), np.uint8(FARTHEST)).ravel()
-    halves = occupied.reshape(n // 2, 2, n // 2, 2, n // 2, 2)
-    coarse = distances(halves.any(axis=(1, 3, 5))).reshape(n // 2, n // 2, n // 2)
-    bound = np.minimum(np.maximum(coarse, 1) * 2 - 1, FARTHEST).astype(np.uint8)
-    return np.where(halves, np.uint8(0), bound[:, None, :, None, :, None]).reshape(-1)
+
+    mask: np.ndarray
+    distance: np.ndarray
+
+    @classmethod
+    def of(cls, occupied: np.ndarray) -> "Occupancy":
+        """From cells (n, n, n) bool; n is a multiple of 4."""
+        return cls.from_mask(np.packbits(blocks(occupied), axis=1, bitorder="little").view(np.uint64).ravel())
+
+    @classmethod
+    def from_mask(cls, mask: np.ndarray) -> "Occupancy":
+        m = round(len(mask) ** (1 / 3))
+        return cls(mask, kernels.chebyshev((mask > 0).astype(np.uint8).reshape(m, m, m), np.uint8(FARTHEST)).ravel())
+
+    @property
+    def size(self) -> int:
+        """Cells an axis."""
+        return 4 * round(len(self.mask) ** (1 / 3))
+
+
+def cells_of_blocks(flags: np.ndarray, m: int) -> np.ndarray:
+    """The inverse of `blocks`: (64 m^3) flags of cells, block by block -> (4m, 4m, 4m)."""
+    return np.ascontiguousarray(flags.reshape(m, m, m, 4, 4, 4).transpose(0, 3, 1, 4, 2, 5)).reshape(4 * m, 4 * m, 4 * m)
+
+
+def cells(mask: np.ndarray) -> np.ndarray:
+    """The cells (n, n, n) bool that a mask (m^3,) uint64 has a bit for."""
+    m = round(len(mask) ** (1 / 3))
+    return cells_of_blocks(np.unpackbits(mask.view(np.uint8), bitorder="little").view(bool), m)

@@ -1,4 +1,4 @@
-"""The training pictures as rays with colours, at one scale, drawn in small patches."""
+"""The training pictures as rays with colours, at one scale, and the backdrop they were taken before."""
 
 from dataclasses import dataclass
 
@@ -29,24 +29,46 @@ class Photographs:
             origins.append(((camera.centre - centre) / half).astype(np.float32))
         return cls(pixels, directions, origins, near)
 
-    def draw(self, rng: np.random.Generator, count: int, size: int) -> tuple[Rays, np.ndarray]:
-        """``count`` rays in patches of size x size neighbouring pixels, and their colours (count, 3) in [0, 1]."""
-        patches = count // size**2
+    def draw(self, rng: np.random.Generator, count: int) -> tuple[Rays, np.ndarray]:
+        """Rays through ``count`` random pixels, and their colours (count, 3) in [0, 1].
+
+        No two of them are neighbours on purpose: pixels side by side teach the same voxels the same thing.
+        """
         areas = np.array([p.shape[0] * p.shape[1] for p in self.pixels], float)
-        which = np.sort(rng.choice(len(self.pixels), patches, p=areas / areas.sum()))
-        corners = rng.random((patches, 2))
-        drawn = [self._patches(k, corners[which == k], size) for k in np.unique(which)]
+        which = np.sort(rng.choice(len(self.pixels), count, p=areas / areas.sum()))
+        places = rng.random((count, 2))
+        drawn = [self._rays(k, places[which == k]) for k in np.unique(which)]
         origins, directions, colours = (np.concatenate(part) for part in zip(*drawn))
         return Rays(origins, directions, np.full(len(origins), self.near, np.float32)), colours
 
-    def _patches(self, k: int, corners: np.ndarray, size: int):
-        dy, dx = np.mgrid[:size, :size].reshape(2, -1)
+    def _rays(self, k: int, places: np.ndarray):
         height, width = self.pixels[k].shape[:2]
-        y = (corners[:, :1] * (height - size + 1)).astype(np.int64) + dy
-        x = (corners[:, 1:] * (width - size + 1)).astype(np.int64) + dx
-        x, y = np.clip(x.ravel(), 0, width - 1), np.clip(y.ravel(), 0, height - 1)
+        x, y = (places * (width, height)).astype(np.int64).T
         pixels = np.stack([x + 0.5, y + 0.5, np.ones(len(x))], -1).astype(np.float32)
         directions = pixels @ self.directions[k].T
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
         origins = np.repeat(self.origins[k][None], len(x), 0)
         return origins, directions, self.pixels[k][y, x].astype(np.float32) / 255
+
+
+def backdrop(views, least: float = 0.03, tolerance: int = 3) -> np.ndarray:
+    """The plain colour (3,) in [0, 1] before which the pictures were taken, or (0,) if they show no such thing.
+
+    It is the commonest colour of pixels that look like all around them, if at least the share ``least`` of all have it:
+    white paper, a clear sky, a simulator's empty space.
+    """
+    flat = []
+    for view in views:
+        image = view.image[::2, ::2]
+        spread = cv2.dilate(image, np.ones((7, 7))) - cv2.erode(image, np.ones((7, 7)))
+        flat.append(image[spread.max(-1) <= 2])
+    colours = np.concatenate(flat).astype(np.int32)
+    pixels = sum(view.image[::2, ::2, 0].size for view in views)
+    if len(colours) < least * pixels:
+        return np.zeros(0, np.float32)
+    coarse, count = np.unique(colours // 4 @ np.array([1, 64, 4096]), return_counts=True)
+    commonest = coarse[count.argmax()] // np.array([1, 64, 4096]) % 64 * 4 + 2
+    alike = colours[np.abs(colours - commonest).max(-1) <= tolerance + 2]
+    if len(alike) < least * pixels:
+        return np.zeros(0, np.float32)
+    return np.median(alike, axis=0).astype(np.float32) / 255

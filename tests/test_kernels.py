@@ -1,0 +1,124 @@
+"""The kernels against the same maths in torch: what they composite, and every gradient."""
+
+import numpy as np
+import pytest
+import torch
+
+from scene import kernels, volume
+from scene.descent import KernelDescent, Rates
+from scene.field import Field, Shading
+from scene.grid import BRICK, Grid, interpolate
+from scene.occupancy import Occupancy, cells, contract
+
+
+@pytest.fixture
+def field():
+    rng = np.random.default_rng(0)
+    occupied = rng.random((16, 16, 16)) < 0.5
+    grid = Grid.empty().with_level(16, occupied).with_level(48, occupied)
+    grid.values[BRICK**3 :] = rng.normal(0, 0.7, grid.values[BRICK**3 :].shape)
+    shading = Shading(np.float32([0.2, 0.5, 0.9]), *(rng.normal(0, 0.3, s).astype(np.float32) for s in ((16, 12), (12, 3))))
+    return Field(np.zeros(3), 1.0, grid, shading, Occupancy.of(occupied), step=0.05, scale=4.0, shift=-1.0, near=0.02)
+
+
+@pytest.fixture
+def rays(field):
+    rng = np.random.default_rng(1)
+    origins = rng.normal(size=(40, 3))
+    origins *= 2.2 / np.linalg.norm(origins, axis=1, keepdims=True)
+    towards = rng.uniform(-0.8, 0.8, (40, 3)) - origins
+    return field.rays(origins, towards / np.linalg.norm(towards, axis=1, keepdims=True))
+
+
+class Twin:
+    """A field in torch, in float64, on the samples the kernel took."""
+
+    def __init__(self, field):
+        self.field = field
+        self.values = torch.tensor(field.grid.values, dtype=torch.float64, requires_grad=True)
+        self.inner, self.outer = (torch.tensor(p, dtype=torch.float64, requires_grad=True) for p in field.shading.parameters)
+
+    def composite(self, rays, marched, k):
+        first, count, t, _, _ = marched.samples
+        t = torch.tensor(t[first[k] : first[k] + count[k]], dtype=torch.float64)
+        o, d = (torch.tensor(a[k], dtype=torch.float64) for a in (rays.origins, rays.directions))
+        grid = self.field.grid
+        table, roots = torch.from_numpy(grid.table), torch.from_numpy(grid.roots)
+        f = interpolate(self.values, table, roots, grid.sizes, grid.starts, volume.contract(o + t[:, None] * d))
+        sigma = self.field.scale * torch.nn.functional.softplus(f[:, 0] + self.field.shift)
+        weights, through = volume.composite(volume.opacity(sigma, torch.tensor(self.field.step))[None])
+        return (weights[0, :, None] * f[:, 1:]).sum(0), through[0]
+
+    def colour(self, rays, marched, k, behind):
+        f, through = self.composite(rays, marched, k)
+        x, y, z = (float(c) for c in rays.directions[k])
+        view = torch.tensor([1, x, y, z, x * y, y * z, x * z, x * x - y * y, 3 * z * z - 1], dtype=torch.float64)
+        hidden = torch.relu(torch.cat([f, view * (1 - through)]) @ self.inner)
+        return f[:3] + through * torch.as_tensor(behind, dtype=torch.float64) + hidden @ self.outer
+
+
+def test_channels_and_transmittance_are_those_of_the_twin(field, rays):
+    marched, twin = field.march(rays, keep=200), Twin(field)
+    assert marched.samples[1].max() > 20
+    for k in range(len(rays.near)):
+        f, through = twin.composite(rays, marched, k)
+        np.testing.assert_allclose(marched.channels[k, 1:], f.detach(), atol=2e-4)
+        np.testing.assert_allclose(marched.through[k], through.item(), atol=2e-5)
+
+
+def test_samples_miss_no_occupied_stretch(field, rays):
+    """Skipping empty space must not skip more: no stretch of occupied cells that is two steps long goes without a sample."""
+    marched = field.march(rays, keep=400)
+    occupied = cells(field.occupied.mask)
+    first, count, t, _, _ = marched.samples
+    stretches = 0
+    for k in range(len(rays.near)):
+        samples = t[first[k] : first[k] + count[k]]
+        end = samples[-1] if marched.through[k] < 0.02 else 4.0  # where it is dark, the ray ends
+        fine = np.arange(0.2, end, 0.002)
+        places = contract(rays.origins[k] + fine[:, None] * rays.directions[k])
+        on = occupied[tuple(np.clip(((places + 2) * 4).astype(int), 0, 15).T)]
+        length = np.append(0, np.cumsum(np.linalg.norm(np.diff(places, axis=0), axis=1)))
+        for run in np.split(np.arange(len(fine)), np.flatnonzero(np.diff(on)) + 1):
+            if len(run) and on[run[0]] and np.ptp(length[run]) > 2 * field.step:
+                stretches += 1
+                assert ((samples >= fine[run[0]] - 1e-3) & (samples <= fine[run[-1]] + 1e-3)).any()
+    assert stretches > 20
+
+
+def test_gradients_of_voxels_and_network_are_those_of_the_twin(field, rays, monkeypatch):
+    n = len(rays.near)
+    rng = np.random.default_rng(2)
+    target, behind = rng.random((n, 3)).astype(np.float32), rng.random((n, 3)).astype(np.float32)
+    found = {}
+
+    def caught(self, touched, network, rates):
+        found["voxels"], found["network"], found["touched"] = self.gradient.copy(), network, touched.copy()
+
+    monkeypatch.setattr(KernelDescent, "_move", caught)
+    descent = KernelDescent(field, threads=1)
+    bits = [np.zeros_like(field.occupied.mask) for _ in range(2)]
+    jitter = np.full(n, 0.5, np.float32)
+    descent.step(rays, target, behind, jitter, Rates(1, 1, 1, 1), *bits, 0.1)
+    marched, twin = field.march(rays, keep=400), Twin(field)
+    colours = torch.stack([twin.colour(rays, marched, k, behind[k]) for k in range(n)])
+    ((colours - torch.tensor(target, dtype=torch.float64)) ** 2).sum().backward()
+    expected = twin.values.grad.numpy()
+    expected[: BRICK**3] = 0  # brick 0 is never trained
+    np.testing.assert_allclose(found["voxels"][BRICK**3 :], expected[BRICK**3 :], atol=3e-4 * np.abs(expected).max())
+    for mine, true in zip(found["network"], (twin.inner.grad, twin.outer.grad)):
+        np.testing.assert_allclose(mine, true, atol=3e-4 * float(true.abs().max()))
+    moved = np.unpackbits(found["touched"].view(np.uint8), bitorder="little").astype(bool)
+    assert moved[(np.abs(expected).max(1) > 1e-6)].all()
+
+
+def test_one_step_of_rmsprop_moves_touched_voxels_only():
+    values, gradient, square = (np.zeros((128, 8), np.float32) for _ in range(3))
+    gradient[70] = 0.5
+    gradient[71] = 0.5  # not marked
+    touched = np.array([0, 1 << 6], np.uint64)
+    rates = np.full(8, 0.1, np.float32)
+    kernels.rmsprop(0, 2, 0, values, gradient, square, touched, rates, np.float32(0.9), np.float32(1), np.float32(0))
+    np.testing.assert_allclose(values[70], -0.1 / np.sqrt(0.1), rtol=1e-5)
+    assert (values[:70] == 0).all() and (values[71:] == 0).all()
+    assert (gradient[70] == 0).all() and touched[1] == 0
