@@ -20,6 +20,7 @@ $(VENV)/.installed: pyproject.toml constraints.txt
 install-test: $(VENV)/.installed-test
 
 $(VENV)/.installed-test: $(VENV)/.installed
+	@test -x /usr/bin/chromium || sh .ci/system-packages chromium
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check $(PIP_FLAGS) -c constraints.txt -e '.[test]'
 	@touch $@
 

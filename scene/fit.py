@@ -31,12 +31,14 @@ STEPS = 2400
 """Default number of steps: 90 to 110 s on two cores for 42 photographs of 640x480."""
 BATCH = 2048
 """Rays a step."""
-FINEST = 1024
-"""Cells an axis of the finest level, at most."""
+FINEST, FINEST_OPEN = 1024, 640
+"""Cells an axis of the finest level, at most: before a backdrop, and without one."""
 NEAR = 0.02
 """Where the rays of a new view begin, in units of the box's half width."""
 OPAQUE = 0.1
 """Until this fraction of training, random colours stand behind a scene that has no backdrop."""
+SAVE_EVERY = 30.0
+"""Seconds between checkpoints."""
 SWEEP = 8
 """Before pruning, every so many-th pixel of all pictures is looked through, an axis."""
 
@@ -59,10 +61,13 @@ class Stage:
     visible: float
 
 
-def schedule(views) -> tuple[Stage, ...]:
-    """The stages for pictures of this size: the finest voxels are about one and a half pixels wide."""
+def schedule(views, open_ended: bool = False) -> tuple[Stage, ...]:
+    """The stages for pictures of this size: the finest voxels are about one and a half pixels wide.
+
+    open_ended: there is no backdrop; all that is far away needs voxels too, so they are fewer to a metre.
+    """
     width = max(view.camera.width for view in views)
-    fine = int(np.clip(round(1.6 * width / 64) * 64, 256, FINEST))
+    fine = int(np.clip(round(1.6 * width / 64) * 64, 256, FINEST_OPEN if open_ended else FINEST))
     middle = fine // 128 * 40
     most = 512 if fine > 768 else 256
     return (
@@ -125,8 +130,11 @@ def fit(
     width of the network.
     """
     _check(views)
-    stages = stages or schedule(views)
-    run = _resume(checkpoint, views, seed, stages) or _start(views, points, bounds, seed, hidden, deterministic, device, thin)
+    behind_all = backdrop(views)
+    stages = stages or schedule(views, open_ended=not len(behind_all))
+    run = _resume(checkpoint, views, seed, stages) or _start(
+        views, points, bounds, Shading.initial(np.random.default_rng(seed), behind_all, hidden), deterministic, device, thin
+    )
     limit = steps if steps is not None else STEPS if seconds is None else None
     clock, saved = time.perf_counter() - run.seconds, time.perf_counter()
     nearest = occupancy.nearest(views, points) / run.field.half
@@ -144,8 +152,8 @@ def fit(
         rays, target = pictures.draw(rng, BATCH)
         jitter = rng.random(len(target), np.float32)
         now = Rates(*(rate * decay**done for rate in rates))
-        open_ended = not len(run.field.shading.background) and done < OPAQUE
-        behind = rng.random((len(target), 3), np.float32) if open_ended else run.field.behind(len(target))
+        anything = not len(behind_all) and done < OPAQUE
+        behind = rng.random((len(target), 3), np.float32) if anything else run.field.behind(len(target))
         mse = run.descent.step(rays, target, behind, jitter, now, run.seen, run.surface, stages[run.stage].visible)
         error = mse if error is None else 0.95 * error + 0.05 * mse
         run.step += 1
@@ -154,7 +162,7 @@ def fit(
             bar.set_postfix(psnr=f"{-10 * np.log10(error):.2f} dB", loss=f"{error:.5f}", refresh=False)
         if callback is not None:
             callback(run.field, run.step, run.seconds)
-        if checkpoint is not None and time.perf_counter() - saved > 30:
+        if checkpoint is not None and time.perf_counter() - saved > SAVE_EVERY:
             _save(run, checkpoint, views, seed, stages)
             saved = time.perf_counter()
     bar.close()
@@ -168,12 +176,11 @@ def _check(views) -> None:
         raise ValueError(f"a field needs at least two photographs, {len(views)} given")
 
 
-def _start(views, points, bounds, seed, hidden, deterministic, device, thin) -> Training:
+def _start(views, points, bounds, shading: Shading, deterministic, device, thin) -> Training:
     if device not in ("auto", "cpu"):
         raise ValueError(f"device {device!r} is not there; use 'cpu' or 'auto'")
     centre, half = occupancy.box_of_interest(views, points, bounds)
     occupied = occupancy.seen(views, centre, half, 64)
-    shading = Shading.initial(np.random.default_rng(seed), backdrop(views), hidden)
     field = Field(
         centre, half, Grid.empty(), shading, occupancy.Occupancy.of(occupied),
         step=1.0, scale=SCALE, shift=float(np.log(np.expm1(thin / SCALE))), near=NEAR,

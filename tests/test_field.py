@@ -87,3 +87,24 @@ def test_one_photograph_is_not_enough(views):
 def test_the_same_seed_on_one_thread_gives_the_same_field(views, new_view):
     first, second = (fit(views, steps=20, seed=3, progress=False, deterministic=True) for _ in range(2))
     np.testing.assert_array_equal(first.render(new_view)[0], second.render(new_view)[0])
+
+
+def test_a_killed_training_goes_on_to_the_same_field(views, new_view, tmp_path, monkeypatch):
+    from scene import fit as training
+
+    monkeypatch.setattr(training, "SAVE_EVERY", 0.0)
+    settings = dict(steps=40, seed=3, deterministic=True, progress=False)
+    whole = fit(views, **settings)
+
+    def killed(field, step, seconds):
+        if step == 25:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        fit(views, **settings, checkpoint=tmp_path / "checkpoint.npz", callback=killed)
+    steps = []
+    again = fit(views, **settings, checkpoint=tmp_path / "checkpoint.npz", callback=lambda field, step, seconds: steps.append(step))
+    assert steps[0] > 20
+    np.testing.assert_array_equal(whole.grid.values, again.grid.values)
+    np.testing.assert_array_equal(whole.render(new_view)[0], again.render(new_view)[0])
+    assert not list(tmp_path.iterdir())

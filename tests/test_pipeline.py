@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from playwright.sync_api import sync_playwright
 
 COMMAND = Path(sys.executable).with_name("scene2skill")
 SMALL = ("world=tiny", "robot.photographs.count=16", "robot.photographs.width=480", "robot.photographs.height=360",
@@ -69,6 +70,24 @@ def test_the_report_holds_everything_in_itself(job):
     page = (run / "report.html").read_text()
     assert page.count("data:image/png;base64,") >= 8 and page.count("data:video/mp4;base64,") == 2
     assert "http" not in page.replace("http-equiv", "")
+
+
+def test_the_report_opens_in_a_browser_without_a_fault(job):
+    _, run, _ = job
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path="/usr/bin/chromium", args=["--no-sandbox", "--disable-background-networking"])
+        page = browser.new_page(viewport={"width": 1200, "height": 900})
+        faults = []
+        page.on("pageerror", lambda error: faults.append(str(error)))
+        page.on("console", lambda message: faults.append(message.text) if message.type == "error" else None)
+        page.on("request", lambda request: faults.append(request.url[:80]) if request.url.startswith("http") else None)
+        page.goto(f"file://{run / 'report.html'}")
+        page.wait_for_function("[...document.images].every(i => i.complete)")
+        assert page.evaluate("[...document.images].every(i => i.naturalWidth > 50)")
+        page.wait_for_function("[...document.querySelectorAll('video')].every(v => v.readyState > 0 && v.duration > 0)")
+        assert page.evaluate("document.documentElement.scrollWidth") <= 1200
+        browser.close()
+    assert not faults
 
 
 def test_neither_teaching_nor_planning_knows_the_goal(job):

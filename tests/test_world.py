@@ -1,8 +1,11 @@
 """Worlds: built as their files say, photographed where cameras stand, and refused where files are wrong."""
 
 import copy
+import hashlib
+import json
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 import yaml
@@ -120,6 +123,22 @@ def test_the_same_picture_is_taken_again_and_by_another_world_at_the_same_time(t
         np.testing.assert_array_equal(tiny.photograph(camera), other.photograph(camera))
         other.client.resetBasePositionAndOrientation(other.bodies["Can1"], [0.5, -0.1, 0.18], [0, 0, 0, 1])
         assert (tiny.photograph(camera) != other.photograph(camera)).any()
+
+
+def table_look(table):
+    """Two small pictures of the table, side by side (96, 256, 3)."""
+    eyes = [(-0.5, 0.8, 1.0), (2.2, -0.9, 0.9)]
+    cameras = [Camera.from_fov(look_at(eye, (0.9, 0.1, 0.3)), 512, 384, 50) for eye in eyes]
+    return np.hstack([cv2.resize(table.photograph(camera), (128, 96), interpolation=cv2.INTER_AREA) for camera in cameras])
+
+
+def test_the_tables_look_is_frozen(table):
+    """Figures are compared from one version to the next, so the table world stays as it is: its file to the letter,
+    its pictures but for a processor's rounding. (The picture is `table_look`, written with cv2.imwrite in RGB.)"""
+    spec = json.dumps(worldfile.read("table"), sort_keys=True)
+    assert hashlib.sha256(spec.encode()).hexdigest() == "9537146454750b21546e54783865eb2b384fb3f4436b8e7b3be48f0bf8b30622"
+    frozen = cv2.imread(str(Path(__file__).with_name("table_look.png"))).astype(float)
+    assert np.abs(table_look(table) - frozen).mean() < 0.5
 
 
 def test_surfaces_look_the_same_from_all_sides(table):
