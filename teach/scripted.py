@@ -12,7 +12,7 @@ from scipy.interpolate import CubicSpline
 
 from scene.camera import Camera
 from teach.curve import arc_length, extent, resample
-from teach.hand import PARTS, Hand, faults, own_speed, scaled, tremor
+from teach.hand import Hand, faults, own_speed, scaled, tremor
 from teach.sketch import Sketch, SketchError, Stroke
 
 POINTS = 200

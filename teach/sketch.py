@@ -12,8 +12,6 @@ What it does not name is refused: a file is understood whole, or the error gives
 """
 
 import json
-import os
-import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
@@ -23,6 +21,7 @@ import numpy as np
 from jaxtyping import Float
 
 from scene.camera import Camera
+from scene.files import replacing
 from teach.schema import KINDS, MAX_POINTS, SCHEMA, validate
 
 MAX_BYTES = 64 * 2**20
@@ -188,16 +187,8 @@ def load(path) -> list[Sketch]:
 def save(path, sketches: Sequence[Sketch]) -> None:
     """Write a sketch file, whole or not at all; every number is read back exactly."""
     text = dumps(sketches)
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".tmp")
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
-            file.write(text)
-        os.replace(temporary, path)
-    except BaseException:
-        os.unlink(temporary)
-        raise
+    with replacing(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
 
 
 def loads(text: str | bytes) -> list[Sketch]:

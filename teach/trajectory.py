@@ -7,8 +7,6 @@ Notation (Zhi et al. 2023, Section IV-B; Paraschos et al. 2013)
 """
 
 import json
-import os
-import tempfile
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from zipfile import BadZipFile
@@ -16,6 +14,7 @@ from zipfile import BadZipFile
 import numpy as np
 from jaxtyping import Float
 
+from scene.files import replacing
 from teach.basis import SquaredExponential
 from teach.sketch import Event, Sketch, dumps, loads
 
@@ -145,7 +144,7 @@ class Skill:
 
     def save(self, path) -> None:
         """Write an npz file, whole or not at all."""
-        d, path = self.distribution, Path(path)
+        d = self.distribution
         text = {
             "kind": "scene2skill.skill",
             "version": 1,
@@ -157,15 +156,8 @@ class Skill:
         arrays = {"mean": d.mean, "covariance": d.covariance, "duration": self.duration, "text": json.dumps(text)}
         if self.orientation is not None:
             arrays["orientation"] = self.orientation
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".tmp")
-        try:
-            with os.fdopen(handle, "wb") as file:
-                np.savez(file, **arrays)
-            os.replace(temporary, path)
-        except BaseException:
-            os.unlink(temporary)
-            raise
+        with replacing(path) as temporary, open(temporary, "wb") as file:
+            np.savez(file, **arrays)
 
     @classmethod
     def load(cls, path) -> "Skill":
