@@ -32,6 +32,7 @@ def launch(task, *overrides: str) -> int:
     0 done; 2 the input was at fault (one line says how); 130 interrupted; anything else is a defect and keeps
     its traceback.
     """
+    OmegaConf.register_new_resolver("groups", _groups, replace=True)
     os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra then raises instead of printing its own traceback
 
     @hydra.main(version_base="1.3", config_path="pkg://conf", config_name="config")
@@ -48,6 +49,17 @@ def launch(task, *overrides: str) -> int:
         print(f"error: {_one_line(error)}", file=sys.stderr)
         return 2
     return 0
+
+
+def _groups() -> str:
+    """The config groups and their options for --help; Hydra's own list takes it a second."""
+    root = Path(__file__).parent
+    options: dict[str, list[str]] = {}
+    for path in sorted(root.rglob("*.yaml")):
+        group = path.parent.relative_to(root).as_posix()
+        if group != "." and not group.startswith("hydra"):
+            options.setdefault(group, []).append(path.stem)
+    return "\n".join(f"{group}: {', '.join(names)}" for group, names in options.items())
 
 
 def _run_job(task, cfg: DictConfig):
