@@ -123,7 +123,7 @@ def fit(
     after which training ends even so, with its schedule spread over that time. callback(field, step, seconds)
     after each step gets the field in training. checkpoint: a file, written now and then, from which a killed
     training goes on; removed at the end. bounds: (2, 3) corners of the box of interest [m], else from points or cameras.
-    deterministic: one thread, bit-equal results. device: "cpu", "cuda", or "auto".
+    deterministic: one thread, bit-equal results. device: "cpu" or "auto", which is the same.
 
     stages: default `schedule`. rates: of density, colour, features, network, falling to
     ``decay`` of it. thin: density of the fog that training begins with, and prior: raw density it begins with at points. hidden:

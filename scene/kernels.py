@@ -169,8 +169,9 @@ def _cell(cx, cy, cz, size):
 
 
 @njit(forceinline=True)
-def _bit(cell):
-    return np.uint64(1) << np.uint64(cell & 63)
+def _bit(index):
+    """The bit of a cell in its block's 64, or of a voxel in its brick's."""
+    return np.uint64(1) << np.uint64(index & 63)
 
 
 @njit(forceinline=True, fastmath=_FAST["fastmath"], error_model="numpy")
@@ -212,7 +213,7 @@ def march(
     """Forward: composite the grid's channels 1..7 along each ray, and keep the samples for `march_back`.
 
     origins, directions (n, 3); near, far, jitter (n,), jitter in [0, 1) of a step. The samples of a ray lie at
-    sample_first[ray] + [0, sample_count[ray]). out (n, 8): channel 0 holds the expected distance, 1..7 the
+    sample_first[ray] + [0, sample_count[ray]). out (n, 8): 0, and in 1..7 the
     composited features; out_through (n,): transmittance left; out_depth (n,): distance where it crosses 1/2, or nan.
     If samples are kept, ``surface`` gets a bit for each cell where that is, and ``seen`` for each with a sample
     whose weight is at least ``visible`` of the ray's largest.
@@ -227,7 +228,6 @@ def march(
         t += jitter[ray] * step / speed
         through = np.float32(1.0)
         depth = np.float32(np.nan)
-        expected = np.float32(0.0)
         largest = np.float32(0.0)
         sample_first[ray] = cursor
         count = 0
@@ -262,7 +262,6 @@ def march(
                 depth = t + (crossing - np.float32(0.5)) * length
             largest = max(largest, weight)
             sample_cell[cursor] = cell
-            expected += weight * t
             for c in range(1, CHANNELS):
                 out[ray, c] += weight * sample_feature[cursor, c]
             sample_t[cursor] = t
@@ -279,7 +278,6 @@ def march(
                 if left * sample_alpha[i] > least:
                     seen[sample_cell[i] >> 6] |= _bit(sample_cell[i])
                 left *= np.float32(1.0) - sample_alpha[i]
-        out[ray, 0] = expected
         out_through[ray] = through
         out_depth[ray] = depth
 
@@ -288,7 +286,7 @@ def march(
 def _mark(touched, rows):
     """Set the bit of each voxel in its brick's 64."""
     for row in rows:
-        touched[row >> 6] |= np.uint64(1) << np.uint64(row & 63)
+        touched[row >> 6] |= _bit(row)
 
 
 @njit(**_FAST)

@@ -47,11 +47,13 @@ def _focus(cameras) -> np.ndarray:
 
 def nearest(views, points=None) -> float:
     """A distance [m] from all cameras within which nothing is, by the points (N, 3) that they may see; 0 without points."""
-    depths = [0.0]
-    for view in views if points is not None and len(points) >= 10 else ():
-        inside = view.camera.contains(view.camera.project(points))
-        depths.append(0.6 * float(np.percentile(view.camera.depth(points[inside]), 1)) if inside.any() else 0.0)
-    return min(depths[1:], default=0.0)
+    if points is None or len(points) < 10:
+        return 0.0
+    depths = []
+    for camera in (view.camera for view in views):
+        inside = camera.contains(camera.project(points))
+        depths.append(np.percentile(camera.depth(points[inside]), 1) if inside.any() else 0.0)
+    return 0.6 * float(min(depths))
 
 
 def contract(x: np.ndarray) -> np.ndarray:
@@ -72,15 +74,15 @@ def cell_centres(n: int) -> np.ndarray:
     return np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1).reshape(-1, 3)
 
 
-def seen(views, centre, half: float, n: int, least: int | None = None) -> np.ndarray:
-    """Cells that at least ``least`` of the pictures show (default: 8 %, two or more), and their neighbours."""
+def seen(views, centre, half: float, n: int) -> np.ndarray:
+    """Cells that 8 % of the pictures show, two or more, and their neighbours."""
     world = uncontract(cell_centres(n)) * half + centre
     homogeneous = np.concatenate([world, np.ones((len(world), 1))], 1).astype(np.float32)
     count = np.zeros(len(world), np.int32)
     for view in views:
         x, y, z = view.camera.projection.astype(np.float32) @ homogeneous.T
         count += (z > 0) & (x >= 0) & (x <= z * view.camera.width) & (y >= 0) & (y <= z * view.camera.height)
-    least = max(2, round(0.08 * len(views))) if least is None else least
+    least = max(2, round(0.08 * len(views)))
     return dilated((count >= least).reshape(n, n, n))
 
 
