@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -69,7 +70,8 @@ def test_the_report_holds_everything_in_itself(job):
     _, run, _ = job
     page = (run / "report.html").read_text()
     assert page.count("data:image/png;base64,") >= 8 and page.count("data:video/mp4;base64,") == 2
-    assert "http" not in page.replace("http-equiv", "")
+    text = re.sub(r"base64,[A-Za-z0-9+/=]+", "", page)  # a picture's letters may spell anything
+    assert "http" not in text.replace("http-equiv", "")
 
 
 def test_the_report_opens_in_a_browser_without_a_fault(job):
