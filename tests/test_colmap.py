@@ -236,7 +236,11 @@ def alive(pid):
 @pytest.mark.parametrize("signal_number", [signal.SIGINT, signal.SIGKILL])
 def test_a_killed_reconstruction_leaves_no_process_and_no_result(capture, tmp_path, signal_number):
     photographs, _, _ = capture
-    code = "import sys, scene.colmap as c; c.reconstruct(sys.argv[2:], sys.argv[1], progress=False)"
+    code = """
+import signal, sys, scene.colmap
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a job in the background is born without it
+scene.colmap.reconstruct(sys.argv[2:], sys.argv[1], progress=False)
+"""
     parent = subprocess.Popen([sys.executable, "-c", code, tmp_path, *photographs], cwd=ROOT, stderr=subprocess.DEVNULL)
     children, deadline = [], time.monotonic() + 30
     while not (children and (tmp_path / ".colmap.part" / "database.db").exists()):
