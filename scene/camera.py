@@ -77,6 +77,13 @@ class Camera:
         depth = pixels_times_depth[..., 2:]
         return pixels_times_depth[..., :2] / np.where(depth > 1e-9, depth, np.nan)
 
+    def jacobian(self, points) -> np.ndarray:
+        """Derivative (..., 2, 3) [px/m] of ``project`` at world points (..., 3) [m] in front of the camera."""
+        P = self.projection
+        homogeneous = np.asarray(points, dtype=float) @ P[:, :3].T + P[:, 3]
+        pixels, depth = homogeneous[..., :2] / homogeneous[..., 2:], homogeneous[..., 2]
+        return (P[:2, :3] - pixels[..., None] * P[2:, :3]) / depth[..., None, None]
+
     def depth(self, points) -> np.ndarray:
         """Depth (...,) [m] along the optical axis of world points (..., 3)."""
         return (np.asarray(points, dtype=float) - self.centre) @ self.forward

@@ -3,55 +3,96 @@
 Notation
     s        arc length along a stroke over its whole, in [0, 1], measured with a ruler: along chords of one ruler's
              length, so that a hand's trembling, which adds length where it draws slowly, adds none
-    z_v(s)   mean stroke of view v [px]
-    l(u)     lag: z_1(u - l / 2) and z_2(u + l / 2) show the same moment; a Gaussian process that is 0 at both ends
-    e(u)     their signed Sampson distance [px] to the cameras' epipolar geometry (Hartley and Zisserman 2004, eq. 11.9)
-
-A line that runs towards one camera is short in its view and long in the other's: equal arc length is not the same
-moment then. "aligned" takes t = u with the most probable lag,
-
-    min_l  e(l)^T E^-1 e(l) + l^T L^-1 l         E covariance of a hand's smooth faults, L of the lag
-
-by Gauss-Newton from l = 0. How large E is, the strokes tell by how they differ within a view, up to a factor; that
-factor and how large L is are those of the highest evidence N(e - (de/dl) l; 0, E + (de/dl) L (de/dl)^T). Where a stroke
-runs along epipolar lines e hardly depends on l, and the lag stays with the prior: equal arc length where geometry is
-silent.
+    u        moment of the motion in [0, 1]: the same for all strokes; "aligned" by teach.bundle, else s or drawn time
+    t(u)     normalised time of the skill: how fast people drew, the median over strokes of d(drawn time) / du
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
+from jaxtyping import Bool, Float
+from scipy.ndimage import gaussian_filter1d
 
-from scene.camera import Camera
-from teach.sketch import Sketch, SketchError, Stroke
+from teach.bundle import COUNT, ViewedStroke
+from teach.consensus import consensus
+from teach.epipolar import fundamental, lag_between
+from teach.sketch import Event, Sketch, SketchError, Stroke
 
 COMMON = ("aligned", "arc_length", "drawn")
+SPEEDS = ("drawn", "uniform")
 RULER = 0.03
 """Length of the ruler over the diagonal of the stroke's bounding box."""
-COUNT = 100
-"""Points at which views are compared."""
-LAGS, LAG_LENGTH = (0.01, 0.02, 0.04, 0.08, 0.16), 0.2
-"""Standard deviations of the lag to choose from and its correlation length, both of the whole arc length."""
-FACTORS, FACTOR_SPREAD = (1.0, 2.0, 4.0), 0.7
-"""Times that the faults of views vary more than the few strokes within them, to choose from; prior spread of its
-logarithm."""
-FAULT, FAULT_LENGTH = 0.03, 0.13
-"""A single stroke's RMS fault over its diagonal, where there is no second to tell, and the correlation length of all
-faults."""
+SMOOTHING, SLOWEST = 0.05, 4.0
+"""Of the drawn speed: its smoothing in u, and how many times slower or faster than on average it may be."""
 
 
-def common_times(sketches: Sequence[Sketch], time: str) -> list[list[np.ndarray]]:
-    """For each motion stroke of each sketch the times (N,) in [0, 1] of its points. time: one of COMMON. Raises
-    SketchError."""
+@dataclass(frozen=True, eq=False)
+class CommonTime:
+    """times: for each motion stroke of each sketch those of its points (N,), not decreasing, in [0, 1]. agree: (V,),
+    which views draw the same motion. off: (V,) [px], how far each is from it; nan where nobody looked."""
+
+    times: list[list[np.ndarray]]
+    agree: Bool[np.ndarray, " V"]
+    off: Float[np.ndarray, " V"]
+
+
+def common_times(sketches: Sequence[Sketch], time: str = "aligned", speed: str = "drawn", robust: bool = True) -> CommonTime:
+    """Common time of all motion strokes. time: one of COMMON. speed: of the skill, one of SPEEDS; where ``time`` is
+    "drawn" it is that of each stroke. robust: leave out views that contradict the others. Raises SketchError."""
     if time not in COMMON:
         raise ValueError(f"time is one of {', '.join(COMMON)}, not {time!r}")
+    if speed not in SPEEDS:
+        raise ValueError(f"speed is one of {', '.join(SPEEDS)}, not {speed!r}")
+    everyone, unknown = np.ones(len(sketches), dtype=bool), np.full(len(sketches), np.nan)
     if time == "drawn":
-        return [[drawn(stroke) for stroke in sketch.motions] for sketch in sketches]
-    along = [[arc_length(stroke) for stroke in sketch.motions] for sketch in sketches]
-    if time == "arc_length":
-        return along
-    s, t = np.linspace(0, 1, COUNT), view_times(sketches, along)
-    return [[np.interp(stroke, s, t_view) for stroke in view] for view, t_view in zip(along, t, strict=True)]
+        return CommonTime([[drawn(stroke) for stroke in sketch.motions] for sketch in sketches], everyone, unknown)
+    moments = [[arc_length(stroke) for stroke in sketch.motions] for sketch in sketches]
+    length = np.linspace(0, 1, COUNT)
+    if time == "aligned" and len(sketches) > 1:
+        found = consensus([viewed(sketch, along) for sketch, along in zip(sketches, moments, strict=True)], robust)
+        everyone, unknown = found.agree, found.off
+        moments = _moments(moments, found)
+        length = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(found.bundle.points, axis=0), axis=1))])
+    u = np.linspace(0, 1, COUNT)
+    t = length / length[-1] if speed == "uniform" else speed_profile(sketches, moments)
+    return CommonTime([[np.interp(moment, u, t) for moment in view] for view in moments], everyone, unknown)
+
+
+def viewed(sketch: Sketch, along) -> ViewedStroke:
+    """The mean of a view's strokes at arc lengths ``along`` of their points."""
+    strokes = [resample(stroke, s, COUNT) for stroke, s in zip(sketch.motions, along, strict=True)]
+    return ViewedStroke.of(sketch.camera, strokes)
+
+
+def _moments(along, found) -> list[list[np.ndarray]]:
+    """u of each point, given s: z(u + l) shows moment u. A view that contradicts the others keeps u = s."""
+    u, lags, moments = np.linspace(0, 1, COUNT), iter(found.bundle.lags), []
+    for view, agrees in zip(along, found.agree, strict=True):
+        s = monotone(u + next(lags)) if agrees else u
+        moments.append([np.interp(stroke, s, u) for stroke in view])
+    return moments
+
+
+def speed_profile(sketches: Sequence[Sketch], moments) -> np.ndarray:
+    """t (COUNT,) of even moments u: the median over the strokes of how long they took for each moment."""
+    u, paces = np.linspace(0, 1, COUNT), []
+    for sketch, view in zip(sketches, moments, strict=True):
+        for stroke, at in zip(sketch.motions, view, strict=True):
+            if stroke.duration > 0:
+                pace = np.diff(np.interp(u, at, drawn(stroke))) * (COUNT - 1)
+                paces.append(gaussian_filter1d(pace, SMOOTHING * COUNT, mode="nearest"))
+    if not paces:
+        return u
+    pace = np.clip(np.median(paces, axis=0), 1 / SLOWEST, SLOWEST)
+    t = np.concatenate([[0.0], np.cumsum(pace)])
+    return t / t[-1]
+
+
+def monotone(fractions) -> np.ndarray:
+    """Fractions (N,) that do not decrease, from 0 to 1."""
+    fractions = np.clip(np.maximum.accumulate(fractions), 0.0, 1.0)
+    return np.concatenate([[0.0], fractions[1:-1], [1.0]])
 
 
 def resample(stroke: Stroke, times, count: int) -> np.ndarray:
@@ -76,118 +117,53 @@ def drawn(stroke: Stroke) -> np.ndarray:
     return (stroke.times - stroke.times[0]) / stroke.duration
 
 
-def view_times(sketches: Sequence[Sketch], along) -> np.ndarray:
-    """Common time (V, COUNT) of each view's mean stroke at COUNT even arc lengths.
+def oriented(sketches: Sequence[Sketch]) -> tuple[list[Sketch], list[str]]:
+    """The sketches with all strokes drawn the way most are, and a sentence for each that was turned round.
 
-    The first view is compared with each other one; its own time is the mean of what these say.
+    Within a view strokes are compared point by point; between views by what epipolar geometry makes of either way.
     """
-    views = [
-        np.stack([resample(stroke, times, COUNT) for stroke, times in zip(sketch.motions, view, strict=True)])
-        for sketch, view in zip(sketches, along, strict=True)
-    ]
-    s, cameras = np.linspace(0, 1, COUNT), [sketch.camera for sketch in sketches]
-    other = [
-        np.interp(s, *correspondence(views[0], view, cameras[0], camera))
-        for view, camera in zip(views[1:], cameras[1:], strict=True)
-    ]
-    first = np.mean([(s + b) / 2 for b in other], axis=0)
-    return np.stack([first, *[np.interp(s, b, first) for b in other]])
+    notes, turned = [], []
+    for sketch in sketches:
+        flips = _flips([resample(stroke, arc_length(stroke), COUNT) for stroke in sketch.motions])
+        notes += [f"Stroke {k + 1} on view {sketch.view} was drawn backwards; it is taken the other way round."
+                  for k in np.flatnonzero(flips)]  # fmt: skip
+        turned.append(_turned(sketch, flips))
+    views = [viewed(sketch, [arc_length(stroke) for stroke in sketch.motions]) for sketch in turned]
+    backwards = np.array([False, *[_runs_against(views[0], view) for view in views[1:]]])
+    if 2 * backwards.sum() > len(views):
+        backwards = ~backwards
+    for k in np.flatnonzero(backwards):
+        turned[k] = _turned(turned[k], [True] * len(turned[k].motions))
+        against = "the other views" if len(views) > 2 else f"view {turned[1 - k].view}"
+        notes.append(f"View {turned[k].view} was drawn from the other end than {against}; it is taken the other way round.")
+    return turned, notes
 
 
-def correspondence(strokes_a, strokes_b, camera_a: Camera, camera_b: Camera) -> tuple[np.ndarray, np.ndarray]:
-    """Arc lengths (COUNT,) along a and along b that show the same moments, both from 0 to 1 and not decreasing.
-
-    strokes_a (A, COUNT, 2), strokes_b (B, COUNT, 2) [px]: the strokes of two views at even arc lengths.
-    """
-    a, b, F = strokes_a.mean(axis=0), strokes_b.mean(axis=0), fundamental(camera_a, camera_b)
-    u = np.linspace(0, 1, len(a))
-    distance = lambda lag: sampson(_at(a, u - lag / 2), _at(b, u + lag / 2), F)
-    variance = _variance_of_mean([sampson(stroke, b, F) for stroke in strokes_a], a)
-    variance += _variance_of_mean([sampson(a, stroke, F) for stroke in strokes_b], b)
-    E = variance * (_kernel(u, FAULT_LENGTH) + 0.05 * np.eye(len(u)))
-    L = _pinned(_kernel(u, LAG_LENGTH))
-    options = [
-        _most_probable_lag(distance, factor * E, size**2 * L, -0.5 * (np.log(factor) / FACTOR_SPREAD) ** 2)
-        for size in LAGS
-        for factor in FACTORS
-    ]
-    lag = max(options, key=lambda option: option[0])[1]
-    return _monotone(u - lag / 2), _monotone(u + lag / 2)
+def _flips(strokes) -> np.ndarray:
+    """Which of a view's strokes (COUNT, 2) run against most others."""
+    distance = lambda a, b: np.linalg.norm(a - b, axis=1).mean()
+    flips = np.array([distance(stroke[::-1], strokes[0]) < 0.5 * distance(stroke, strokes[0]) for stroke in strokes])
+    return ~flips if 2 * flips.sum() > len(flips) else flips
 
 
-def _most_probable_lag(distance, E, L, log_prior: float, steps: int = 20) -> tuple[float, np.ndarray]:
-    """Log evidence and the lag (N,) that minimises the objective; lag = L weights, so that L may be singular."""
-    h, damping = 0.5 / len(E), 1.0
-    inverse = np.linalg.inv(E)
-    objective = lambda e, weights: e @ inverse @ e + weights @ L @ weights
-    weights, lag = np.zeros(len(E)), np.zeros(len(E))
-    e = distance(lag)
-    for _ in range(steps):
-        g = (distance(lag + h) - distance(lag - h)) / (2 * h)
-        # Minimiser of the objective with e linearised: L g (g L g + E)^-1 (g lag - e)
-        target = g * np.linalg.solve(g[:, None] * L * g + E, g * lag - e)
-        trial = weights + damping * (target - weights)
-        e_trial = distance(L @ trial)
-        gain = objective(e, weights) - objective(e_trial, trial)
-        if gain > 0:
-            weights, e, damping = trial, e_trial, min(1.0, 2 * damping)
-            lag = L @ weights
-        else:
-            damping /= 4
-        if damping < 0.01 or 0 <= gain < 1e-3:
-            break
-    g = (distance(lag + h) - distance(lag - h)) / (2 * h)
-    spread, offset = g[:, None] * L * g + E, e - g * lag
-    return log_prior - 0.5 * (offset @ np.linalg.solve(spread, offset) + np.linalg.slogdet(spread)[1]), lag
+def _runs_against(a: ViewedStroke, b: ViewedStroke) -> bool:
+    """Whether the views' strokes meet well only if one is read backwards."""
+    F, sigma = fundamental(a.camera, b.camera), np.hypot(a.sigma, b.sigma) / np.sqrt(2)
+    along, against = (min(lag_between(a.mean, z, F, sigma, size)[1] for size in (0.12, 0.5)) for z in (b.mean, b.mean[::-1]))
+    return along > 6.0 and against < 0.3 * along
 
 
-def fundamental(camera_a: Camera, camera_b: Camera) -> np.ndarray:
-    """F (3, 3) with (b, 1)^T F (a, 1) = 0 for pixels a, b of the same point; scaled to norm 1."""
-    epipole = camera_b.projection @ np.append(camera_a.centre, 1.0)
-    cross = np.array([[0, -epipole[2], epipole[1]], [epipole[2], 0, -epipole[0]], [-epipole[1], epipole[0], 0]])
-    F = cross @ camera_b.projection @ np.linalg.pinv(camera_a.projection)
-    return F / np.linalg.norm(F)
+def _turned(sketch: Sketch, flips) -> Sketch:
+    flip = iter(flips)
+    return replace(sketch, strokes=tuple(backwards(s) if s.kind == "motion" and next(flip) else s for s in sketch.strokes))
 
 
-def sampson(a, b, F) -> np.ndarray:
-    """Signed Sampson distance (N,) [px] of pixels a and b (N, 2): to first order how far all four numbers must move,
-    RSS."""
-    a, b = (np.column_stack([x, np.ones(len(x))]) for x in (a, b))
-    lines_b, lines_a = a @ F.T, b @ F  # epipolar lines of a in the picture of b, and of b in the picture of a
-    gradient = np.sqrt((lines_b[:, :2] ** 2).sum(-1) + (lines_a[:, :2] ** 2).sum(-1))
-    return (lines_b * b).sum(-1) / np.maximum(gradient, 1e-300)
-
-
-def _variance_of_mean(distances, mean) -> float:
-    """Variance [px^2] of the mean of a view's strokes across epipolar lines, from their Sampson distances (S, N)
-    [px]."""
-    guess = FAULT**2 * (np.ptp(mean, axis=0) ** 2).sum() / 2
-    if len(distances) == 1:
-        return max(guess, 1e-6)
-    return max(np.var(distances, axis=0, ddof=1).mean() / len(distances), 1e-4 * guess, 1e-6)
-
-
-def _at(curve, fractions) -> np.ndarray:
-    """Points of curve (N, 2), given at even fractions, at others (K,); beyond the ends it goes on straight."""
-    x = np.asarray(fractions) * (len(curve) - 1)
-    i = np.clip(x.astype(int), 0, len(curve) - 2)
-    return curve[i] + (x - i)[:, None] * (curve[i + 1] - curve[i])
-
-
-def _kernel(u, length: float) -> np.ndarray:
-    return np.exp(-((u[:, None] - u) ** 2) / (2 * length**2))
-
-
-def _pinned(K) -> np.ndarray:
-    """The covariance K of a process given that it is 0 at its ends."""
-    ends = [0, -1]
-    return K - K[:, ends] @ np.linalg.solve(K[np.ix_(ends, ends)], K[ends])
-
-
-def _monotone(fractions) -> np.ndarray:
-    """Fractions (N,) that do not decrease, from 0 to 1."""
-    fractions = np.clip(np.maximum.accumulate(fractions), 0.0, 1.0)
-    return np.concatenate([[0.0], fractions[1:-1], [1.0]])
+def backwards(stroke: Stroke) -> Stroke:
+    """The stroke as if it had been drawn from its end to its start."""
+    last = stroke.times[0] + stroke.times[-1]
+    events = tuple(Event(event.name, float(last - event.time)) for event in reversed(stroke.events))
+    pressure = None if stroke.pressure is None else stroke.pressure[::-1]
+    return replace(stroke, points=stroke.points[::-1], times=last - stroke.times[::-1], events=events, pressure=pressure)
 
 
 def _chords(points, ruler: float) -> list[int]:

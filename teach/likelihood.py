@@ -116,6 +116,24 @@ def fit_coherent(observations, prior, strength: float, steps: int = 30) -> np.nd
     return S
 
 
+def mean_uncertainty(observations, S, vague: float = 1.0, noise: float = 1.0) -> np.ndarray:
+    """(3M, 3M) [m^2]: how uncertain the mean of the weights is, after the means of n strokes in each view.
+
+    Each view's mean stroke has the covariance (H S H^T + noise I) / n; before, the mean is N(., vague S). observations:
+    as for ``fit_coherent``. noise: [px^2].
+    """
+    H = np.concatenate([H for H, _ in observations])
+    R = np.zeros((len(H), len(H)))
+    row = 0
+    for block, r in observations:
+        rows = slice(row, row + len(block))
+        R[rows, rows] = (block @ S @ block.T + noise * np.eye(len(block))) / len(r)
+        row += len(block)
+    SH = vague * S @ H.T
+    posterior = vague * S - SH @ np.linalg.solve(H @ SH + R, SH.T)
+    return (posterior + posterior.T) / 2
+
+
 def _noise(observations) -> float:
     """Variance [px^2] of the residuals outside of what the basis expresses, per number there."""
     outside, numbers = 0.0, 0.0

@@ -1,19 +1,24 @@
-"""Algorithm 1: where the rays of high density in two views meet (Zhi et al. 2023, Section IV-B).
+"""Where rays of high density meet: the paper's Algorithm 1 (Zhi et al. 2023, Section IV-B), and its exact form.
 
 Notation
     f_r(d, x, y) = o + d omega(x, y)    the ray through pixel (x, y): o the camera's centre, omega a unit vector, d [m]
     p_j(t)                              density of a pixel of view j at time t over the highest at that time: in [0, 1]
     R_j(t) = {f_r(d, x, y) : d_near <= d <= d_far, p_j(t) >= epsilon}
     S = {(t, X)}                          points X where R_1(t) and R_2(t) come closer than delta; each weighs p_1 p_2
+    p(X | t) ~ prod_v p_v(pi_v(X) | t)    exact: rays of zero width meet at X with the product of their densities
+    Sigma^-1 = sum_v J_v^T R_v^-1 J_v     information of the views at X: J_v Jacobian of pi_v, R_v [px^2] of the density
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
 from scene.camera import Camera, ray_distance
+from teach.bundle import triangulate
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,8 +37,63 @@ class Intersections:
 
 
 @dataclass(frozen=True)
+class ExactRays:
+    """The product of the views' densities, by importance sampling; any number of views, no grid and no thresholds.
+
+    Points are drawn from the Gaussian that the densities' moments give in information form, a little wider, and weigh
+    the product over it. times: number of times, evenly in [0, 1]. points: at each. draws: of each density, for its
+    moments. widen: deviation of the points over that of the Gaussian.
+    """
+
+    times: int = 50
+    points: int = 128
+    draws: int = 128
+    widen: float = 1.3
+
+    def __call__(self, densities, cameras: Sequence[Camera], *, seed: int = 0) -> Intersections:
+        """densities: objects with log_prob(t, px) and sample(n, t, rng), one for each camera."""
+        t, rng = np.linspace(0, 1, self.times), np.random.default_rng(seed)
+        moments = [_moments(density.sample(self.draws, t, rng)) for density in densities]
+        centre, information = information_form(moments, cameras)
+        root = self.widen * np.linalg.inv(np.linalg.cholesky(information)).swapaxes(1, 2)  # root root^T = widen^2 Sigma
+        z = rng.standard_normal((self.points, 3))  # the same at all times, so that the mean over time is smooth
+        X = centre[:, None] + z @ root.swapaxes(1, 2)  # (T, points, 3)
+        log_weight = np.broadcast_to(0.5 * (z**2).sum(-1), X.shape[:2]).copy()
+        for density, camera in zip(densities, cameras, strict=True):
+            pixels = camera.project(X)
+            seen = np.isfinite(pixels).all(axis=-1)
+            log_prob = density.log_prob(t[:, None], np.where(seen[..., None], pixels, 0.0))
+            log_weight += np.where(seen, log_prob, -np.inf)
+        met = np.isfinite(log_weight)
+        weights = np.exp(log_weight - np.max(log_weight, axis=1, initial=-1e300, keepdims=True))
+        return Intersections(t, met.sum(axis=1), np.repeat(t, met.sum(axis=1)), X[met], weights[met])
+
+
+def _moments(draws) -> tuple[np.ndarray, np.ndarray]:
+    """Mean (T, 2) [px] and covariance (T, 2, 2) [px^2] of draws (T, n, 2)."""
+    mean = draws.mean(axis=1)
+    off = draws - mean[:, None]
+    return mean, np.einsum("tna,tnb->tab", off, off) / draws.shape[1] + 1e-4 * np.eye(2)
+
+
+def information_form(moments, cameras: Sequence[Camera], steps: int = 5) -> tuple[np.ndarray, np.ndarray]:
+    """The most probable points (T, 3) [m] and their information Sigma^-1 (T, 3, 3) [1/m^2], from the mean (T, 2) [px]
+    and covariance (T, 2, 2) [px^2] of each view; Gauss-Newton."""
+    X = triangulate([mean for mean, _ in moments], cameras)
+    inverses = [np.linalg.inv(R) for _, R in moments]
+    for _ in range(steps):
+        information, pull = 1e-6 * np.eye(3), 0.0
+        for (mean, _), inverse, camera in zip(moments, inverses, cameras, strict=True):
+            J = camera.jacobian(X)
+            JR = J.swapaxes(1, 2) @ inverse
+            information, pull = information + JR @ J, pull + JR @ np.nan_to_num(mean - camera.project(X))[..., None]
+        X = X + np.linalg.solve(information, pull)[..., 0]
+    return X, information
+
+
+@dataclass(frozen=True)
 class Algorithm1:
-    """The paper's Algorithm 1 for a pair of views. Called with two densities and their cameras, returns Intersections.
+    """The paper's Algorithm 1 for every pair of views. Called with densities and their cameras, returns Intersections.
 
     grid: points per side of the grid on which densities are evaluated. adaptive: the grid spans the support of the
     density at each time (a box around draws of it), so that a thin density is not missed; False: the whole picture, as
@@ -57,12 +117,17 @@ class Algorithm1:
     pixels: int = 400
     points: int = 1000
 
-    def __call__(self, densities, cameras: tuple[Camera, Camera], *, seed: int = 0) -> Intersections:
-        """densities: two objects with log_prob(t, px) and sample(n, t, rng). The seed is of the draws that place the
-        grid."""
+    def __call__(self, densities, cameras: Sequence[Camera], *, seed: int = 0) -> Intersections:
+        """densities: objects with log_prob(t, px) and sample(n, t, rng), one for each camera. The seed is of the draws
+        that place the grid."""
         t = np.linspace(0, 1, self.times)
         rng = np.random.default_rng(seed)
-        regions = [self._regions(density, camera, t, rng) for density, camera in zip(densities, cameras, strict=True)]
+        seen = [(self._regions(density, camera, t, rng), camera) for density, camera in zip(densities, cameras, strict=True)]
+        met = [self._pair(t, *zip(*pair, strict=True)) for pair in combinations(seen, 2)]
+        join = lambda name: np.concatenate([getattr(m, name) for m in met])
+        return Intersections(t, np.sum([m.counts for m in met], axis=0), join("times"), join("points"), join("weights"))
+
+    def _pair(self, t, regions, cameras) -> Intersections:
         gaps, near, far = self._closest_approaches(regions, cameras)
         meet = self._closed_form if self.samples is None else self._sampled
         found = [meet(*pair, cameras, delta, near, far) for *pair, delta in zip(*regions, gaps, strict=True)]

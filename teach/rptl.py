@@ -13,11 +13,11 @@ import numpy as np
 import torch
 
 from scene.camera import Camera
-from teach.align import common_times, resample
+from teach.align import common_times, oriented, resample
 from teach.basis import SquaredExponential
 from teach.density import Flow
-from teach.likelihood import fit_coherent, fit_diagonal, fit_mean, hand_prior, moments_over_time
-from teach.raytrace import Algorithm1, Intersections
+from teach.likelihood import fit_coherent, fit_diagonal, fit_mean, hand_prior, mean_uncertainty, moments_over_time
+from teach.raytrace import ExactRays, Intersections
 from teach.sketch import Event, Sketch, SketchError, check, ray_angle
 from teach.trajectory import Skill, TrajectoryDistribution
 
@@ -33,9 +33,12 @@ def fit(
     raytrace=None,
     basis=None,
     time: str = "aligned",
+    speed: str = "drawn",
+    robust: bool = True,
     covariance: str = "coherent",
+    predictive: bool = True,
     smoothness: float = 1e-8,
-    strength: float = 20.0,
+    strength: float = 30.0,
 ) -> Skill:
     """Learn the motion that the sketches draw.
 
@@ -46,22 +49,26 @@ def fit(
     coherent covariance's prior is worth. Raises SketchError.
     """
     started = clock.perf_counter()
-    density, raytrace, basis = density or Flow(), raytrace or Algorithm1(), basis or SquaredExponential()
+    density, raytrace, basis = density or Flow(), raytrace or ExactRays(), basis or SquaredExponential()
     if covariance not in ("coherent", "diagonal"):
         raise ValueError(f"covariance is 'coherent' or 'diagonal', not {covariance!r}")
     check(sketches)
     drawn = [sketch for sketch in sketches if sketch.motions]
+    drawn, notes = oriented(drawn)
+    common = common_times(drawn, time, speed, robust)
+    times = common.times
     cameras = [sketch.camera for sketch in drawn]
-    times = common_times(drawn, time)
     strokes, densities = view_densities(drawn, times, density, seed=seed)
     with _one_thread():
-        pairs = combinations(zip(densities, cameras, strict=True), 2)
-        met = [raytrace((p_a, p_b), (camera_a, camera_b), seed=seed) for (p_a, camera_a), (p_b, camera_b) in pairs]
+        met = raytrace(densities, cameras, seed=seed)
     mean, grid, variance = _mean(basis, met, smoothness)
     if covariance == "diagonal":
         S = np.diag(fit_diagonal(basis, grid, variance).ravel())
     else:
-        S = fit_coherent(_observations(basis, mean, strokes, cameras), hand_prior(basis, mean, smoothness), strength)
+        observations = _observations(basis, mean, strokes, cameras)
+        S = fit_coherent(observations, hand_prior(basis, mean, smoothness), strength)
+        if predictive:
+            S = S + mean_uncertainty(observations, S)
     report = _report(drawn, strokes, densities, met, basis, mean)
     report["seconds"] = clock.perf_counter() - started
     duration = max(float(np.median([stroke.duration for sketch in drawn for stroke in sketch.motions])), 0.1)
@@ -100,12 +107,11 @@ def _one_thread():
         torch.set_num_threads(threads)
 
 
-def _mean(basis, met: list[Intersections], smoothness: float):
+def _mean(basis, met: Intersections, smoothness: float):
     """Mean of the weights (M, 3), the times (T,) at which rays met, and the points' mean square from the mean there (T,
     3)."""
-    grid = met[0].grid
-    fields = [np.concatenate([getattr(m, name) for m in met]) for name in ("times", "points", "weights")]
-    centre, variance, seen = moments_over_time(*fields, grid)
+    grid = met.grid
+    centre, variance, seen = moments_over_time(met.times, met.points, met.weights, grid)
     if seen.sum() < 2:
         raise SketchError(
             f"the rays of the views meet at {seen.sum()} of {len(grid)} times: their strokes do not show the same "
@@ -121,17 +127,9 @@ def _observations(basis, mean, strokes, cameras) -> list[tuple[np.ndarray, np.nd
     x, Psi = basis(t) @ mean, np.kron(basis(t), np.eye(3)).reshape(len(t), 3, -1)
     residuals = [(view - view.mean(axis=0))[:, ::2].reshape(len(view), -1) for view in strokes]
     return [
-        ((_jacobian(camera, x) @ Psi).reshape(2 * len(t), -1), residual)
+        ((camera.jacobian(x) @ Psi).reshape(2 * len(t), -1), residual)
         for camera, residual in zip(cameras, residuals, strict=True)
     ]
-
-
-def _jacobian(camera: Camera, x) -> np.ndarray:
-    """Derivative (T, 2, 3) [px/m] of the projection at points x (T, 3)."""
-    P = camera.projection
-    homogeneous = x @ P[:, :3].T + P[:, 3]
-    pixels, depth = homogeneous[:, :2] / homogeneous[:, 2:], homogeneous[:, 2]
-    return (P[None, :2, :3] - pixels[:, :, None] * P[None, 2:, :3]) / depth[:, None, None]
 
 
 def _events(drawn, times, duration: float) -> tuple[Event, ...]:
@@ -152,7 +150,7 @@ def _report(drawn, strokes, densities, met, basis, mean) -> dict:
         miss = drawn_points.mean(axis=0) - sketch.camera.project(x)
         residual[sketch.view] = float(np.linalg.norm(miss, axis=-1).mean())
     angles = [ray_angle(a, b) for a, b in combinations(drawn, 2)]
-    counts = np.sum([m.counts for m in met], axis=0)
+    counts = met.counts
     return {
         "reprojection_px": residual,
         "ray_angle_deg": float(max(angles)),

@@ -1,0 +1,200 @@
+"""One curve in space and the time of every view, jointly: bundle adjustment (Triggs et al. 2000) of whole strokes.
+
+Notation
+    z_v(s)      mean stroke of view v [px] at arc length s in [0, 1]
+    x(u)        the curve [m], x = Phi(u) w with N(w; 0, Q^-1): integrated squared acceleration of the size ``bend``^2
+    l_v(u)      lag of a view: z_v(u + l_v(u)) shows x(u); a Gaussian process of the size ``lag``, 0 at both ends
+    e_v(u)      fault of the view's hand: offset, size and smooth deviation [px], covariance E_v
+
+    z_v(u + l_v(u)) = pi_v(x(u)) + e_v(u)
+
+A line that runs towards one camera is short in its view and long in the other's, so equal arc length is not the same
+moment; the lag is what geometry says it is, and where a stroke runs along epipolar lines, what makes the curve smooth.
+Gauss-Newton with the lags marginalised: with g = z_v' and H = J_v Phi, y = H w + e - g l has covariance E + g L g^T, so
+that the views' information adds up, for any number of them, in the size of w alone. Lag and bend are those of the
+highest evidence (Laplace's approximation), from the best of several starts that dynamic programming finds.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from scipy.linalg import cho_factor, cho_solve, solve_triangular
+
+from scene.camera import Camera
+from teach.basis import SquaredExponential
+from teach.epipolar import at, fundamental, lag_between
+from teach.likelihood import OFFSET, SIZE, SMOOTH, SMOOTH_LENGTH, projection, smoothness_penalty
+
+COUNT = 100
+"""Points at which a view is compared with the curve."""
+BASIS = SquaredExponential(24, 64.0)
+STARTS = (None, 0.06, 0.12, 0.25, 0.5)
+"""Sizes of the lag with which dynamic programming looks for starts; None: no lag."""
+LAG_LENGTH, LAGS, BENDS = 0.15, (0.03, 0.08, 0.16), (0.3, 0.7, 1.5, 4.0)
+"""The lag's correlation length; sizes of the lag, of the arc length, and of the bend, of the curve's extent, to choose
+from."""
+TREMBLING = 0.004
+"""Deviation of what is not smooth in a mean stroke, of the drawing's extent."""
+TRUST = 4.0
+"""Number of strokes that the faults of people's letters are worth beside those of the strokes at hand."""
+
+
+@dataclass(frozen=True, eq=False)
+class ViewedStroke:
+    """The mean stroke of a view. mean: (COUNT, 2) [px] at even arc lengths. faults: (2, COUNT, COUNT) [px^2], the
+    covariance E of its fault along each axis of the picture."""
+
+    camera: Camera
+    mean: Float[np.ndarray, "N 2"]
+    faults: Float[np.ndarray, "2 N N"]
+
+    @classmethod
+    def of(cls, camera: Camera, strokes) -> "ViewedStroke":
+        """strokes: (S, COUNT, 2) [px] at even arc lengths. Their spread scales the faults of people's letters."""
+        strokes = np.asarray(strokes, dtype=float)
+        mean, count = strokes.mean(axis=0), len(strokes)
+        faults = hand_faults(mean)
+        if count > 1:
+            freedom = TRUST * (count - 1)
+            seen = ((strokes - mean) ** 2).sum() / (count - 1)
+            faults = faults * (freedom * seen / np.trace(faults, axis1=1, axis2=2).sum() + TRUST) / (freedom + TRUST)
+        return cls(camera, mean, faults / count)
+
+    @property
+    def sigma(self) -> float:
+        """RMS fault [px] along one axis."""
+        return float(np.sqrt(np.diagonal(self.faults, axis1=1, axis2=2).mean()))
+
+
+@dataclass(frozen=True, eq=False)
+class Bundle:
+    """points: (COUNT, 3) [m], the curve at even u. lags: (V, COUNT). evidence: log p(strokes | lag, bend)."""
+
+    points: Float[np.ndarray, "N 3"]
+    lags: Float[np.ndarray, "V N"]
+    evidence: float
+
+
+def hand_faults(stroke) -> np.ndarray:
+    """(2, N, N) [px^2] covariance of the faults of a hand that draws ``stroke`` (N, 2) [px], as ``teach.hand`` has
+    them."""
+    u, extent = np.linspace(0, 1, len(stroke)), max(float(np.ptp(stroke, axis=0).max()), 1.0)
+    arms = stroke - stroke.mean(axis=0)
+    smooth = SMOOTH**2 * np.exp(-((u[:, None] - u) ** 2) / (2 * SMOOTH_LENGTH**2))
+    common = (OFFSET**2 + smooth) * extent**2 / 2 + (TREMBLING * extent) ** 2 * np.eye(len(u))
+    return np.stack([common + SIZE**2 * np.outer(arm, arm) for arm in arms.T])
+
+
+def adjust(views: Sequence[ViewedStroke], start=None) -> Bundle:
+    """The most probable curve and lags. start: lags (V, COUNT) to begin with; None: several are tried, for two
+    views."""
+    begin = starts(*views) if start is None else [np.asarray(start, dtype=float)]
+    best = max((solve(views, lags, LAGS[1], BENDS[2]) for lags in begin), key=lambda bundle: bundle.evidence)
+    bends = {bend: solve(views, best.lags, LAGS[1], bend) for bend in BENDS}
+    bend = max(bends, key=lambda bend: bends[bend].evidence)
+    return max((solve(views, bends[bend].lags, lag, bend) for lag in LAGS), key=lambda bundle: bundle.evidence)
+
+
+def starts(a: ViewedStroke, b: ViewedStroke) -> list[np.ndarray]:
+    """Lags (2, COUNT) of two views from which to begin."""
+    F, sigma = fundamental(a.camera, b.camera), np.hypot(a.sigma, b.sigma) / np.sqrt(2)
+    lags = [np.zeros(COUNT) if size is None else lag_between(a.mean, b.mean, F, sigma, size)[0] for size in STARTS]
+    return [np.stack([-lag / 2, lag / 2]) for lag in lags]
+
+
+def solve(views: Sequence[ViewedStroke], lags, lag: float, bend: float, steps: int = 24) -> Bundle:
+    """The most probable curve and lags near ``lags`` (V, COUNT) for a size of the lag and of the bend."""
+    problem = _Problem(views, lags, lag, bend)
+    w, lags = problem.start(lags), np.asarray(lags, dtype=float)
+    cost, damping = problem.cost(w, lags), 1.0
+    for _ in range(steps):
+        w_new, lags_new, evidence = problem.step(w, lags)
+        while (gain := cost - problem.cost(w + damping * (w_new - w), lags + damping * (lags_new - lags))) <= 0:
+            damping /= 2
+            if damping < 0.02:
+                return Bundle(problem.Phi @ w.reshape(-1, 3), lags, evidence)
+        w, lags, cost = w + damping * (w_new - w), lags + damping * (lags_new - lags), cost - gain
+        damping = min(1.0, 2 * damping)
+        if gain < 1e-2:
+            break
+    return Bundle(problem.Phi @ w.reshape(-1, 3), lags, problem.step(w, lags)[2])
+
+
+class _Problem:
+    """The objective of ``solve`` and its Gauss-Newton step. w (3M,): weights, basis-major."""
+
+    def __init__(self, views, lags, lag, bend):
+        self.views, self.u = views, np.linspace(0, 1, COUNT)
+        self.Phi = BASIS(self.u)
+        self.Psi = np.kron(self.Phi, np.eye(3)).reshape(COUNT, 3, -1)
+        kernel = np.exp(-((self.u[:, None] - self.u) ** 2) / (2 * LAG_LENGTH**2))
+        self.L = lag**2 * (pinned(kernel) + 1e-8 * np.eye(COUNT))
+        self.L_inverse = np.linalg.inv(self.L)
+        self.E_inverse = [np.linalg.inv(view.faults) for view in views]
+        self.x = triangulate([at(v.mean, self.u + l) for v, l in zip(views, lags, strict=True)], [v.camera for v in views])
+        extent = max(float(np.ptp(self.x, axis=0).max()), 1e-6)
+        Q = smoothness_penalty(BASIS) / (bend * extent) ** 2 + 1e-7 / extent**2 * np.eye(BASIS.count)
+        self.Q = np.kron(Q, np.eye(3))
+
+    def start(self, lags):
+        return (projection(BASIS, self.u, np.ones(COUNT), 1e-7) @ self.x).ravel()
+
+    def residuals(self, w, lags):
+        """z_v(u + l_v) - pi_v(x) (COUNT, 2) [px] of each view."""
+        x = self.Phi @ w.reshape(-1, 3)
+        return [at(v.mean, self.u + l) - v.camera.project(x) for v, l in zip(self.views, lags, strict=True)]
+
+    def cost(self, w, lags) -> float:
+        total = w @ self.Q @ w + sum(l @ self.L_inverse @ l for l in lags)
+        for r, inverse in zip(self.residuals(w, lags), self.E_inverse, strict=True):
+            if not np.isfinite(r).all():
+                return np.inf  # behind a camera
+            total += np.einsum("na,anm,ma->", r, inverse, r)
+        return float(total)
+
+    def step(self, w, lags):
+        """The minimiser (w, lags) of the linearised objective, and the log evidence there."""
+        A, b, log_evidence, parts = self.Q.copy(), np.zeros(len(w)), 0.0, []
+        x, h = self.Phi @ w.reshape(-1, 3), 0.5 / COUNT
+        for view, lag, r in zip(self.views, lags, self.residuals(w, lags), strict=True):
+            g = (at(view.mean, self.u + lag + h) - at(view.mean, self.u + lag - h)) / (2 * h)
+            H = (view.camera.jacobian(x) @ self.Psi).reshape(2 * COUNT, -1)
+            y = (r - g * lag[:, None]).ravel() + H @ w
+            root = np.linalg.cholesky(self._spread(view.faults, g))
+            white = solve_triangular(root, np.column_stack([H, y]), lower=True, check_finite=False)
+            A += white[:, :-1].T @ white[:, :-1]
+            b += white[:, :-1].T @ white[:, -1]
+            log_evidence -= np.log(np.diag(root)).sum() + 0.5 * white[:, -1] @ white[:, -1]
+            parts.append((root, white, g))
+        factor = cho_factor(A)
+        w = cho_solve(factor, b)
+        log_evidence += 0.5 * b @ w + 0.5 * np.linalg.slogdet(self.Q)[1] - np.log(np.diag(factor[0])).sum()
+        return w, np.stack([self._lag(w, *part) for part in parts]), float(log_evidence)
+
+    def _spread(self, faults, g):
+        """(2 COUNT, 2 COUNT) covariance E + g L g^T [px^2] of a view's stroke around the curve's projection."""
+        C = g[:, :, None, None] * self.L[:, None, :, None] * g[None, None]
+        for axis in range(2):
+            C[:, axis, :, axis] += faults[axis]
+        return C.reshape(2 * COUNT, 2 * COUNT)
+
+    def _lag(self, w, root, white, g):
+        miss = solve_triangular(root, white[:, :-1] @ w - white[:, -1], lower=True, trans=1, check_finite=False)
+        return self.L @ (g * miss.reshape(COUNT, 2)).sum(axis=1)
+
+
+def triangulate(pixels, cameras) -> np.ndarray:
+    """(N, 3) [m]: for each n the point nearest to the rays through pixels[v][n], least squares over any number of
+    views."""
+    rays = [camera.rays(px) for px, camera in zip(pixels, cameras, strict=True)]
+    across = [np.eye(3) - d[:, :, None] * d[:, None] for _, d in rays]  # projection across each ray
+    A = np.sum(across, axis=0) + 1e-9 * np.eye(3)
+    return np.linalg.solve(A, np.sum([P @ o[..., None] for P, (o, _) in zip(across, rays, strict=True)], axis=0))[..., 0]
+
+
+def pinned(K) -> np.ndarray:
+    """The covariance K of a process given that it is 0 at its ends."""
+    ends = [0, -1]
+    return K - K[:, ends] @ np.linalg.solve(K[np.ix_(ends, ends)], K[ends])
