@@ -16,6 +16,7 @@ from scene.camera import Camera
 from teach.align import common_times, resample
 from teach.basis import SquaredExponential
 from teach.density import Flow
+from teach.hull import visual_hull
 from teach.likelihood import fit_coherent, fit_diagonal, fit_mean, hand_prior, moments_over_time
 from teach.raytrace import Algorithm1, Intersections
 from teach.sketch import Event, Sketch, SketchError, check, ray_angle
@@ -50,6 +51,7 @@ def fit(
     if covariance not in ("coherent", "diagonal"):
         raise ValueError(f"covariance is 'coherent' or 'diagonal', not {covariance!r}")
     check(sketches)
+    regions = visual_hull(sketches)  # outlines that bound nothing are refused before anything is learned
     drawn = [sketch for sketch in sketches if sketch.motions]
     cameras = [sketch.camera for sketch in drawn]
     times = common_times(drawn, time)
@@ -63,6 +65,7 @@ def fit(
     else:
         S = fit_coherent(_observations(basis, mean, strokes, cameras), hand_prior(basis, mean, smoothness), strength)
     report = _report(drawn, strokes, densities, met, basis, mean)
+    report["keep_out"] = {region.name: 1e3 * region.volume for region in regions}  # litres
     report["seconds"] = clock.perf_counter() - started
     duration = max(float(np.median([stroke.duration for sketch in drawn for stroke in sketch.motions])), 0.1)
     keep_out = tuple(
