@@ -45,7 +45,7 @@ class Region:
     @property
     def volume(self) -> float:
         """[m^3] of all pieces; slivers in which pieces overlap count for each of them."""
-        return float(sum(np.linalg.det(vertices[faces] - vertices.mean(axis=0)).sum() / 6 for vertices, faces in self.pieces))
+        return float(sum(np.linalg.det((v - v.mean(axis=0))[faces]).sum() / 6 for v, faces in self.pieces))
 
     def contains(self, points) -> np.ndarray:
         """(...,) bool: which points (..., 3) [m] lie in the region or on its surface."""
@@ -181,4 +181,4 @@ def _apart(name: str, outlined, cones, bounds) -> SketchError:
 
 def _endless(name: str, outlined) -> SketchError:
     views = " and ".join(repr(sketch.view) for sketch in outlined)
-    return SketchError(f"the {name} has no end: views {views} look from the same side; outline it on a view from another")
+    return SketchError(f"the {name} has no end: views {views} look from the same side; outline it from another side")

@@ -49,8 +49,8 @@ def corners(outline) -> np.ndarray:
     length = np.linalg.norm(np.diff(outline, axis=0), axis=1).sum()
     gap = np.linalg.norm(outline[-1] - outline[0])
     if gap > CLOSED * length:
-        raise ValueError(f"is not closed: its ends are {gap:.0f} px apart, its length is {length:.0f} px; draw it on to "
-                         "where it started")
+        raise ValueError(f"is not closed: its ends are {gap:.0f} px apart, its length is {length:.0f} px; draw it on "
+                         "to where it started")
     kept = cv2.approxPolyDP(outline.astype(np.float32)[:, None], SIMPLIFIED, closed=True)[:, 0].astype(float)
     if len(kept) > MOST_CORNERS:
         raise ValueError(f"has {len(kept)} corners (at most {MOST_CORNERS}): draw a simple loop around the region")
@@ -79,7 +79,7 @@ def _crossing_rows(start, end) -> np.ndarray:
     with np.errstate(divide="ignore", invalid="ignore"):
         s, t = _cross(offset, along[b]) / across, _cross(offset, along[a]) / across
     meet = (s > 0) & (s < 1) & (t > 0) & (t < 1)
-    return (start[a, 1] + s * along[a, 1])[meet]
+    return start[a[meet], 1] + s[meet] * along[a[meet], 1]
 
 
 def _spans(start, end, row) -> list[tuple[int, int]]:
