@@ -24,9 +24,11 @@ from scipy.optimize import linprog
 from scipy.spatial import ConvexHull, HalfspaceIntersection
 
 from scene.camera import Camera
-from teach.silhouette import FILLED, convex_parts
+from teach.silhouette import convex_parts
 from teach.sketch import Sketch, SketchError
 
+FILLED = 0.003
+"""Width of the band along an outline that may be filled, as share of the picture's: a hand's tremor (hand.py)."""
 THINNEST = 1e-4
 """Pieces into which no ball of this radius fits [m] are left out."""
 FARTHEST = 40.0
@@ -67,28 +69,24 @@ def visual_hull(sketches: Sequence[Sketch], *, filled: float = FILLED) -> tuple[
     """The regions that the keep-out strokes of ``sketches`` outline, in the world's frame; none without such strokes.
 
     Where each view has one outline, all are of one region. Where a view has several, outlines with the same
-    ``demonstration`` are of one region, and those of one view are joined. filled: see teach.silhouette. Raises
-    SketchError where an outline is not closed, a region is outlined on one view only, or the views' cones do not meet
-    or enclose nothing that ends.
+    ``demonstration`` are of one region, and those of one view are joined. filled: how much dents of outlines may be
+    filled for the sake of fewer pieces (FILLED). Raises SketchError where an outline is not closed, a region is
+    outlined on one view only, or the views' cones do not meet or enclose nothing that ends.
     """
-    outlined = [sketch for sketch in sketches if _outlines(sketch)]
+    outlined = [sketch for sketch in sketches if sketch.outlines]
     names = sorted({sketch.view for sketch in outlined})
     if len(names) < len(outlined):
         raise SketchError(f"{len(outlined)} sketches share the views {names}: put all strokes of a view in one sketch")
-    if all(len(_outlines(sketch)) == 1 for sketch in outlined):
+    if all(len(sketch.outlines) == 1 for sketch in outlined):
         return (_region("keep-out region", outlined, filled),) if outlined else ()
-    numbers = sorted({stroke.demonstration for sketch in outlined for stroke in _outlines(sketch)})
+    numbers = sorted({stroke.demonstration for sketch in outlined for stroke in sketch.outlines})
     title = "keep-out region {}" if len(numbers) > 1 else "keep-out region"
     return tuple(_region(title.format(k), _of(outlined, n), filled) for k, n in enumerate(numbers, start=1))
 
 
-def _outlines(sketch: Sketch) -> tuple:
-    return tuple(stroke for stroke in sketch.strokes if stroke.kind == "keep_out")
-
-
 def _of(outlined, number: int) -> list[Sketch]:
     """The sketches with only the outlines of one region."""
-    kept = [(s, tuple(stroke for stroke in _outlines(s) if stroke.demonstration == number)) for s in outlined]
+    kept = [(s, tuple(stroke for stroke in s.outlines if stroke.demonstration == number)) for s in outlined]
     return [Sketch(sketch.view, sketch.camera, strokes) for sketch, strokes in kept if strokes]
 
 
@@ -116,7 +114,8 @@ def _region(name: str, outlined, filled: float) -> Region:
 
 def _parts(name: str, sketch: Sketch, filled: float) -> list[np.ndarray]:
     try:
-        return [part for stroke in _outlines(sketch) for part in convex_parts(stroke.points, filled)]
+        band = filled * sketch.camera.width
+        return [part for stroke in sketch.outlines for part in convex_parts(stroke.points, band)]
     except ValueError as error:
         raise SketchError(f"the outline of the {name} on view {sketch.view!r} {error}") from None
 

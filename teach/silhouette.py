@@ -11,7 +11,7 @@ enlarges them least first (approximate convex decomposition, after Lien and Amat
 trembling hand do not make a part each. Nothing that was enclosed is ever lost: parts only grow.
 """
 
-from itertools import combinations, pairwise
+from itertools import pairwise
 
 import cv2
 import numpy as np
@@ -19,46 +19,50 @@ import numpy as np
 CLOSED = 0.2
 """Share of an outline's length that the gap between its ends may be: five sixths of a circle are closed."""
 SIMPLIFIED = 0.5
-"""Corners nearer to the line without them are left out [px]; parts are grown by as much."""
-FILLED = 0.05
-"""Share of the silhouette's area by which its parts may exceed it."""
-MOST_CORNERS, MOST_PARTS = 500, 8
+"""Corners nearer to the line without them are left out [px], farther ones where they are too many; parts are grown by
+as much."""
+MOST_CORNERS, MOST_CROSSINGS, MOST_PARTS = 300, 100, 8
 SMALLEST = 4.0
 """Less is not an area but a line or a point [px^2]."""
 
 
-def convex_parts(outline, filled: float = FILLED) -> list[np.ndarray]:
+def convex_parts(outline, filled: float = 0.0) -> list[np.ndarray]:
     """Convex polygons (C, 2) [px], anticlockwise in (u, v), whose union contains the silhouette of ``outline`` (N, 2).
 
-    Their areas exceed the silhouette's by at most the share ``filled``, more only where that would be above MOST_PARTS
-    parts; then each is grown by SIMPLIFIED. Raises ValueError where the outline is open, encloses nothing or is a
-    scribble.
+    Their areas exceed the silhouette's by at most a band of width ``filled`` [px] along its convex hull, more only
+    where that would leave above MOST_PARTS parts; then each is grown by what simplifying may have cut off (SIMPLIFIED).
+    Raises ValueError where the outline is open, encloses nothing or is a scribble.
     """
-    parts = trapezoids(corners(outline))
+    polygon, off = corners(outline)
+    parts = trapezoids(polygon)
     if sum(map(area, parts)) < SMALLEST:
         raise ValueError("encloses nothing: draw a closed line around the region")
     eighths = np.pi / 8 + np.arange(8) * np.pi / 4
-    disc = SIMPLIFIED / np.cos(np.pi / 8) * np.column_stack([np.cos(eighths), np.sin(eighths)])
-    return [hull((part[:, None] + disc).reshape(-1, 2)) for part in _merged(parts, filled)]
+    disc = off / np.cos(np.pi / 8) * np.column_stack([np.cos(eighths), np.sin(eighths)])
+    around = hull(np.vstack(parts))
+    band = filled * np.linalg.norm(np.roll(around, -1, axis=0) - around, axis=1).sum()
+    return [hull((part[:, None] + disc).reshape(-1, 2)) for part in _merged(parts, band)]
 
 
-def corners(outline) -> np.ndarray:
-    """The corners (M, 2) [px] of an outline, without those nearer than SIMPLIFIED to the line between others (Douglas
-    and Peucker 1973). Raises ValueError."""
+def corners(outline) -> tuple[np.ndarray, float]:
+    """At most MOST_CORNERS corners (M, 2) [px] of an outline, and how far [px] from the line through them those are
+    that were left out (Douglas and Peucker 1973). Raises ValueError where the outline is not closed."""
     outline = np.asarray(outline, dtype=float)
     length = np.linalg.norm(np.diff(outline, axis=0), axis=1).sum()
     gap = np.linalg.norm(outline[-1] - outline[0])
     if gap > CLOSED * length:
         raise ValueError(f"is not closed: its ends are {gap:.0f} px apart, its length is {length:.0f} px; draw it on "
                          "to where it started")
-    kept = cv2.approxPolyDP(outline.astype(np.float32)[:, None], SIMPLIFIED, closed=True)[:, 0].astype(float)
-    if len(kept) > MOST_CORNERS:
-        raise ValueError(f"has {len(kept)} corners (at most {MOST_CORNERS}): draw a simple loop around the region")
-    return kept
+    kept, off = outline, SIMPLIFIED / 2
+    while off < SIMPLIFIED or len(kept) > MOST_CORNERS:
+        off *= 2
+        kept = cv2.approxPolyDP(outline.astype(np.float32)[:, None], off, closed=True)[:, 0]
+    return kept.astype(float), off
 
 
 def trapezoids(polygon) -> list[np.ndarray]:
-    """The silhouette of a closed polygon (M, 2), which may cross itself, cut along rows: disjoint (C, 2) polygons."""
+    """The silhouette of a closed polygon (M, 2), which may cross itself, cut along rows: disjoint (C, 2) polygons.
+    Raises ValueError."""
     start, end = polygon, np.roll(polygon, -1, axis=0)
     levels = np.unique(np.concatenate([polygon[:, 1], _crossing_rows(start, end)]))
     levels = levels[np.diff(levels, prepend=-np.inf) > 1e-9]
@@ -79,6 +83,8 @@ def _crossing_rows(start, end) -> np.ndarray:
     with np.errstate(divide="ignore", invalid="ignore"):
         s, t = _cross(offset, along[b]) / across, _cross(offset, along[a]) / across
     meet = (s > 0) & (s < 1) & (t > 0) & (t < 1)
+    if meet.sum() > MOST_CROSSINGS:
+        raise ValueError(f"crosses itself {meet.sum()} times (at most {MOST_CROSSINGS}): draw a simple loop")
     return start[a[meet], 1] + s[meet] * along[a[meet], 1]
 
 
@@ -107,10 +113,11 @@ def _at(start, end, edge, row):
     return start[edge, 0] + share * (end[edge, 0] - start[edge, 0])
 
 
-def _merged(parts, filled) -> list[np.ndarray]:
+def _merged(parts, excess) -> list[np.ndarray]:
+    """Fewer parts, whose areas sum to at most ``excess`` [px^2] more where they are no more than MOST_PARTS."""
     parts, areas = dict(enumerate(parts)), {k: area(part) for k, part in enumerate(parts)}
-    limit = (1 + filled) * sum(areas.values()) + 1e-6
-    pairs = {(a, b): _joined(parts[a], parts[b]) for a, b in combinations(parts, 2) if _touch(parts[a], parts[b])}
+    limit = sum(areas.values()) + excess + 1e-6
+    pairs = {(a, b): _joined(parts[a], parts[b]) for a, b in _touching(list(parts.values()))}
     while pairs:
         (a, b), (joined, size) = min(pairs.items(), key=lambda item: item[1][1] - areas[item[0][0]] - areas[item[0][1]])
         if sum(areas.values()) - areas[a] - areas[b] + size > limit and len(parts) <= MOST_PARTS:
@@ -128,16 +135,18 @@ def _joined(a, b) -> tuple[np.ndarray, float]:
     return joined, area(joined)
 
 
-def _touch(a, b) -> bool:
-    """Whether two trapezoids share a piece of a row, or a point of it."""
-    if a[:, 1].min() > b[:, 1].min():
-        a, b = b, a
-    row = b[:, 1].min()
-    (left, right), (other_left, other_right) = (
-        (x.min(initial=np.inf), x.max(initial=-np.inf))
-        for x in (part[np.abs(part[:, 1] - row) < 1e-6, 0] for part in (a, b))
-    )
-    return left <= other_right + 1e-6 and other_left <= right + 1e-6
+def _touching(pieces) -> list[tuple[int, int]]:
+    """The pairs of trapezoids of which one ends in the row where the other begins, and there they share a point."""
+    begin, end = (np.array([_side(piece, row(piece[:, 1])) for piece in pieces]).T for row in (np.min, np.max))
+    same_row = np.abs(end[0][:, None] - begin[0]) < 1e-6
+    overlap = (end[1][:, None] <= begin[2] + 1e-6) & (begin[1] <= end[2][:, None] + 1e-6)
+    return [tuple(pair) for pair in np.argwhere(same_row & overlap).tolist()]
+
+
+def _side(piece, row) -> tuple[float, float, float]:
+    """The row and the extent in it of a trapezoid's side."""
+    on_row = piece[np.abs(piece[:, 1] - row) < 1e-6, 0]
+    return row, on_row.min(), on_row.max()
 
 
 def hull(points) -> np.ndarray:

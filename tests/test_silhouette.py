@@ -62,7 +62,7 @@ def test_a_pixel_is_in_a_trapezoid_where_the_outline_winds_round_it(polygon):
 def test_parts_hold_the_silhouette_and_nothing_more_where_nothing_may_be_filled(polygon):
     pieces = trapezoids(polygon)
     try:
-        parts = convex_parts(np.vstack([polygon, polygon[:1]]), filled=0)
+        parts = convex_parts(np.vstack([polygon, polygon[:1]]))
     except ValueError as error:
         assert "encloses nothing" in str(error) and sum(map(area, pieces)) < 100
         return
@@ -75,7 +75,7 @@ def test_parts_hold_the_silhouette_and_nothing_more_where_nothing_may_be_filled(
 
 def test_parts_of_a_trembling_outline_are_few_and_exceed_it_little():
     outline = trembling(np.array([[50, 50], [350, 60], [340, 150], [160, 140], [150, 340], [60, 330.0]]), 1.5)
-    exact, parts = trapezoids(outline), convex_parts(outline)
+    exact, parts = trapezoids(outline), convex_parts(outline, filled=2.0)
     assert len(exact) > 100 and len(parts) <= 4
     grid = np.stack(np.meshgrid(np.arange(0, 400, 2), np.arange(0, 400, 2)), axis=-1).reshape(-1, 2) + 0.123
     wound, within = winding(outline, grid) != 0, in_any(parts, grid)
@@ -95,7 +95,7 @@ def test_a_loop_whose_end_runs_past_its_start_encloses_the_same(more):
 
 def test_both_loops_of_an_eight_are_enclosed():
     eight = np.array([[0, 0], [100, 100], [100, 0], [0, 100.0]])
-    parts = convex_parts(np.vstack([eight, eight[:1]]), filled=0)
+    parts = convex_parts(np.vstack([eight, eight[:1]]))
     pixels = np.array([[10, 50], [90, 50], [50, 20], [50, 80.0]])
     assert in_any(parts, pixels).tolist() == [True, True, False, False]
 
@@ -109,6 +109,17 @@ def test_a_comb_has_no_more_parts_than_allowed_and_loses_no_tooth():
     assert in_any(parts, pixels)[winding(comb, pixels) != 0].all()
 
 
+def test_of_an_outline_with_thousands_of_corners_nothing_is_lost():
+    angle = np.linspace(0, 2 * np.pi, 20000)
+    star = 300 + np.stack([np.cos(angle), np.sin(angle)], axis=1) * (200 + 3 * np.sin(400 * angle))[:, None]
+    parts = convex_parts(star)
+    pixels = 300 + np.random.default_rng(0).uniform(-250, 250, (300, 2))
+    away = np.linalg.norm(pixels - 300, axis=1)
+    within = in_any(parts, pixels)
+    assert within[away < 197].all() and not within[away > 212].any()
+    assert in_any(parts, star[::97]).all()
+
+
 @pytest.mark.parametrize(
     "outline, words",
     [
@@ -116,7 +127,7 @@ def test_a_comb_has_no_more_parts_than_allowed_and_loses_no_tooth():
         ([[0, 0], [100, 0], [0, 0]], "encloses nothing"),
         ([[5, 5], [6, 6], [5, 5]], "encloses nothing"),
         ([[5, 5], [5, 5]], "encloses nothing"),
-        (np.random.default_rng(0).uniform(0, 500, (3000, 2))[[*range(3000), 0]], "corners"),
+        (np.random.default_rng(0).uniform(0, 500, (100, 2))[[*range(100), 0]], "crosses itself [0-9]+ times"),
     ],
 )
 def test_what_encloses_nothing_is_refused_in_words(outline, words):
