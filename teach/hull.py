@@ -139,8 +139,8 @@ def _meeting(cones, bounds) -> list[tuple[np.ndarray, np.ndarray]]:
 def _deepest(halfspaces) -> np.ndarray | None:
     """Centre (3,) of the largest ball in the half-spaces; None where there is none of radius THINNEST."""
     rows = np.column_stack([halfspaces[:, :3], np.ones(len(halfspaces))])
-    found = linprog([0, 0, 0, -1], rows, -halfspaces[:, 3], bounds=[(None, None)] * 3 + [(0, None)])
-    return found.x[:3] if found.status == 0 and found.x[3] > THINNEST else None
+    *centre, radius = linprog([0, 0, 0, -1], rows, -halfspaces[:, 3], bounds=(None, None)).x  # negative: how far apart
+    return np.array(centre) if radius > THINNEST else None
 
 
 def _piece(halfspaces, inside) -> tuple[np.ndarray, np.ndarray]:
