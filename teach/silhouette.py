@@ -140,7 +140,7 @@ def _touching(pieces) -> list[tuple[int, int]]:
     begin, end = (np.array([_side(piece, row(piece[:, 1])) for piece in pieces]).T for row in (np.min, np.max))
     same_row = np.abs(end[0][:, None] - begin[0]) < 1e-6
     overlap = (end[1][:, None] <= begin[2] + 1e-6) & (begin[1] <= end[2][:, None] + 1e-6)
-    return [tuple(pair) for pair in np.argwhere(same_row & overlap).tolist()]
+    return [(a, b) for a, b in np.argwhere(same_row & overlap).tolist() if a != b]
 
 
 def _side(piece, row) -> tuple[float, float, float]:

@@ -93,6 +93,11 @@ def test_a_loop_whose_end_runs_past_its_start_encloses_the_same(more):
     assert 100**2 <= area(part) < 101.1**2
 
 
+def test_corners_that_are_hardly_in_different_rows_are_no_obstacle():
+    (part,) = convex_parts([[0, 0], [100, 1e-7], [100, 50], [50, 50 - 1e-7], [0, 50], [0, 0]])
+    assert 5000 <= area(part) < 101.1 * 51.1
+
+
 def test_both_loops_of_an_eight_are_enclosed():
     eight = np.array([[0, 0], [100, 100], [100, 0], [0, 100.0]])
     parts = convex_parts(np.vstack([eight, eight[:1]]))
