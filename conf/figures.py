@@ -5,9 +5,11 @@ import matplotlib
 matplotlib.use("Agg")
 import numpy as np
 from matplotlib.figure import Figure
+from mpl_toolkits.mplot3d.art3d import Line3DCollection
 
 TIME_COLOURS = "viridis"
 INK = "#d1242f"
+KEEP_OUT = "#0969da"
 MUTED = "#8c959f"
 AXES = ("x", "y", "z")
 
@@ -48,10 +50,12 @@ def beside(photograph, rendered, depth) -> Figure:
 
 
 def sketches(pages) -> Figure:
-    """Strokes on the pictures they were drawn on. pages: (title, image, strokes as (N, 2) px) each."""
+    """Strokes on the pictures they were drawn on, outlines of keep-out regions dashed. pages: (title, image, strokes,
+    outlines) each, lines as (N, 2) px."""
     figure, axes = _row(len(pages))
-    for axis, (title, image, strokes) in zip(axes, pages):
+    for axis, (title, image, strokes, outlines) in zip(axes, pages):
         _picture(axis, image, title)
+        _outline(axis, outlines)
         for stroke in strokes:
             axis.plot(*stroke.T, color=INK, linewidth=1.6)
             axis.plot(*stroke[0], "o", color="white", markeredgecolor=INK, markersize=5)
@@ -68,8 +72,9 @@ def densities(pages) -> Figure:
     return figure
 
 
-def trajectories_3d(mean, samples, points, colours, performed=None) -> Figure:
-    """Samples and mean (n, T, 3), (T, 3) in the scene, from two sides; the performed path beside them."""
+def trajectories_3d(mean, samples, points, colours, performed=None, regions=()) -> Figure:
+    """Samples and mean (n, T, 3), (T, 3) in the scene, from two sides; the performed path beside them, and the edges
+    (E, 2, 3) of keep-out regions."""
     figure = Figure(figsize=(11, 4.6), layout="constrained")
     for part, azimuth in zip(figure.subfigures(1, 2), (-60, 30)):
         scene = _scene_axes(part, points, colours)
@@ -79,6 +84,8 @@ def trajectories_3d(mean, samples, points, colours, performed=None) -> Figure:
         if performed is not None:
             scene.plot(*performed.T, color="black", linewidth=1.4, label="performed")
             scene.legend(fontsize=8)
+        for edges in regions:
+            scene.add_collection3d(Line3DCollection(edges, colors=KEEP_OUT, linewidths=0.6, alpha=0.5))
         scene.view_init(22, azimuth)
         _fit_limits(scene, np.concatenate([samples.reshape(-1, 3), mean]), margin=0.2)
     return figure
@@ -98,11 +105,12 @@ def overlay(pages) -> Figure:
 
 
 def overview(drawn, learned, performed) -> Figure:
-    """The idea in one row: strokes on two views, the motion in a third, the robot. drawn: (title, image, strokes) each;
-    learned: (title, image, mean, samples, strokes); performed: the last picture of the film, or None."""
+    """The idea in one row: strokes on two views, the motion in a third, the robot. drawn: (title, image, strokes,
+    outlines) each; learned: (title, image, mean, samples, strokes); performed: the last picture of the film, or None."""
     figure, axes = _row(len(drawn) + 1 + (performed is not None))
-    for axis, (_, image, strokes) in zip(axes, drawn):
+    for axis, (_, image, strokes, outlines) in zip(axes, drawn):
         _picture(axis, image, "sketched")
+        _outline(axis, outlines)
         for stroke in strokes:
             axis.plot(*stroke.T, color=INK, linewidth=1.6)
     _, image, mean, samples, _ = learned
@@ -156,6 +164,11 @@ def _picture(axis, image, title: str) -> None:
     axis.set_ylim(image.shape[0], 0)
     axis.set_title(title, fontsize=9)
     axis.axis("off")
+
+
+def _outline(axis, outlines) -> None:
+    for line in outlines:
+        axis.plot(*np.vstack([line, line[:1]]).T, color=KEEP_OUT, linewidth=1.6, linestyle="--")
 
 
 def _scene_axes(part, points, colours, most: int = 4000):

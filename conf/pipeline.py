@@ -159,6 +159,8 @@ def fit(job: Job, out: Path) -> dict:
     if "mfd" in metrics:
         log.info("  in the held-out view: mean Frechet %(mfd).4f (oracle %(oracle_mfd).4f), Wasserstein %(wd).4f (oracle %(oracle_wd).4f)"
                  " of the picture's width", metrics)  # fmt: skip
+    for name, litres in skill.report.get("keep_out", {}).items():
+        log.info("  %s: %.2f litres", name, litres)
     for warning in skill.report.get("warnings", ()):
         log.warning("  note: %s", warning)
     return metrics

@@ -113,41 +113,49 @@ def _field(page: _Page, metrics: dict) -> list[str]:
 def _sketches(page: _Page, metrics: dict) -> list[str]:
     if "sketch" not in metrics:
         return []
-    drawn = [(title, image, strokes) for title, image, _, strokes in _drawn(page)]
-    return ["<h2>Sketches</h2>", page.picture("sketches", figures.sketches(drawn),
-            "Strokes as they were drawn; a circle marks each start. A held-out view is for evaluation only.")]  # fmt: skip
+    drawn = [(title, image, strokes, outlines) for title, image, _, strokes, outlines in _drawn(page)]
+    text = "Strokes as they were drawn; a circle marks each start. A held-out view is for evaluation only."
+    if any(outlines for *_, outlines in drawn):
+        text += " Dashed: outlines of regions to keep out of."
+    return ["<h2>Sketches</h2>", page.picture("sketches", figures.sketches(drawn), text)]
 
 
 def _drawn(page: _Page) -> list[tuple]:
-    """(title, image, camera, strokes) of every sketched view, the held-out one last."""
+    """(title, image, camera, strokes, outlines) of every sketched view, the held-out one last."""
     from teach import sketch
 
     images = {view.name: view.image for view in load_views(page.capture / "views")}
     held_out = sketch.load(page.run / "held_out.json")
     rows = [(s.view, s) for s in sketch.load(page.run / "sketches.json")] + [(f"{s.view} (held out)", s) for s in held_out]
     blank = np.full((480, 640, 3), 255, np.uint8)
-    return [(title, images.get(s.view, blank), s.camera, [stroke.points for stroke in s.strokes]) for title, s in rows]
+    return [(title, images.get(s.view, blank), s.camera, *([stroke.points for stroke in strokes] for strokes in (s.motions, s.outlines)))
+            for title, s in rows]  # fmt: skip
 
 
 def _learned(page: _Page, metrics: dict) -> list[str]:
     if "teach" not in metrics:
         return []
+    from teach.hull import visual_hull
     from teach.trajectory import Skill
 
     rng = np.random.default_rng(0)
-    learned, start = Skill.load(page.run / "skill.npz").distribution, _start(page)
+    skill, start = Skill.load(page.run / "skill.npz"), _start(page)
+    learned, regions = skill.distribution, visual_hull(skill.keep_out)
     conditioned = learned if start is None else learned.condition(0.0, start)
     mean, samples = learned.mean_at(TIMES), learned.sample(SHOWN_SAMPLES, TIMES, rng)
-    pages = [(t, image, c.project(mean), c.project(samples), strokes) for t, image, c, strokes in _drawn(page)]
+    drawn = _drawn(page)
+    pages = [(t, image, c.project(mean), c.project(samples), strokes) for t, image, c, strokes, _ in drawn]
+    sketched = [(t, image, strokes, outlines) for t, image, _, strokes, outlines in drawn[:2]]
     started = conditioned.sample(SHOWN_SAMPLES, TIMES, rng)
     variance = np.einsum("tii->ti", conditioned.covariance_at(TIMES))
     deviation = np.sqrt(np.maximum(variance, 0))  # rounding leaves -1e-18 where the start is exact
+    edges = [region.edges for region in regions]
     parts = ["<h2>The learned motion</h2>", *_scores(metrics["teach"]), *_densities(page)]
     return parts + [
-        page.picture("overview", figures.overview([(p[0], p[1], p[4]) for p in pages[:2]], pages[-1], _last_frame(page)),
+        page.picture("overview", figures.overview(sketched, pages[-1], _last_frame(page)),
                      "Sketched on two views, learned, performed."),
-        page.picture("trajectories", figures.trajectories_3d(mean, samples, *load_points(page.capture), _performed_path(page)),
-                     "Samples (red) and mean (coloured by time) in the scene."),
+        page.picture("trajectories", figures.trajectories_3d(mean, samples, *load_points(page.capture), _performed_path(page), edges),
+                     "Samples (red) and mean (coloured by time) in the scene." + (" Blue: regions to keep out of." if edges else "")),
         page.picture("overlay", figures.overlay(pages), "Samples and mean seen by each view; dotted: the strokes."),
         page.picture("over_time", figures.over_time(TIMES, conditioned.mean_at(TIMES), deviation, started),
                      "Position over normalised time, conditioned to start at the hand (square), with two standard deviations."),
@@ -168,7 +176,7 @@ def _densities(page: _Page) -> list[str]:
     if not path.exists():
         return []
     kept = np.load(path, allow_pickle=False)
-    pages = [(t, image, kept[t]) for t, image, _, _ in _drawn(page) if t in kept]
+    pages = [(t, image, kept[t]) for t, image, *_ in _drawn(page) if t in kept]
     return [page.picture("densities", figures.densities(pages), "Density of the strokes in each view, all times together.")]
 
 

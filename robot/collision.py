@@ -1,4 +1,4 @@
-"""Clearance of a posture and of a swept motion, to the world and to the arm itself.
+"""Clearance of a posture and of a swept motion, to the world, to regions to keep out of, and to the arm itself.
 
 Notation
     clearance   signed distance [m] between two convex pieces; negative: how deep they overlap; values above ``cap`` are
@@ -25,7 +25,7 @@ import numpy as np
 from numba import njit
 
 from robot.kinematics import PRISMATIC
-from robot.shapes import BOX, CAPSULE, CYLINDER, body_pieces, link_pieces
+from robot.shapes import BOX, CAPSULE, CYLINDER, body_pieces, link_pieces, region_pieces
 
 WORLD, ITSELF = 0, 1
 ALWAYS_TOUCHING = 0.9  # share of random postures: such a pair is a matter of coarse geometry, not of the posture
@@ -42,17 +42,19 @@ class Sweep:
 class CollisionModel:
     """The arm among the bodies of a world, where they stand when this is made.
 
-    arm: Arm. world: has ``client`` and ``bodies``, or None for the arm alone. ignored: further pairs of names that may
-    touch. cap: larger clearances are not told apart [m].
+    arm: Arm. world: has ``client`` and ``bodies``, or None for the arm alone. regions: volumes in the world's frame
+    that the arm may not enter (teach.hull.Region); they count as bodies of the world. ignored: further pairs of names
+    that may touch. cap: larger clearances are not told apart [m].
 
     Links that cannot move are not compared with the world (the base may stand on a table or in it). Of the arm's own
     pairs those are left out that are neighbours, touch at home, or touch in nearly all random postures.
     """
 
-    def __init__(self, arm, world=None, ignored=(), cap=0.3):
+    def __init__(self, arm, world=None, regions=(), ignored=(), cap=0.3):
         self.arm, self.cap = arm, float(cap)
         self.links, self.pieces = (tuple(column) for column in zip(*link_pieces(arm.description)))
-        self.surroundings = tuple(body_pieces(world.client, world.bodies)) if world is not None else ()
+        bodies = body_pieces(world.client, world.bodies) if world is not None else []
+        self.surroundings = (*bodies, *region_pieces(regions))
         self._ignored = {frozenset(pair) for pair in ignored}
         self._objects = [fcl.CollisionObject(piece.geometry) for piece in self.pieces]
         self._objects += [fcl.CollisionObject(p.geometry, _fcl_pose(p.frame_from_piece)) for p in self.surroundings]

@@ -22,6 +22,7 @@ from robot.attempt import RESOLUTION, Attempt, Search, swept_refusal, title
 from robot.collision import ITSELF, WORLD, CollisionModel
 from robot.timing import motion_spline, time_path
 from scene.files import replacing
+from teach.hull import visual_hull
 
 POSITION_TOLERANCE = 2e-3  # m, of the timed motion against the candidate
 
@@ -31,7 +32,7 @@ class Plan:
     """A motion and what was checked about it; at rest at both ends, the first row is the present state.
 
     times (T,) [s]. joints (T, J) [rad]. names: of the joints. position_error (T,) [m]: tip against the candidate
-    followed. clearance (T,) [m]: to the world, at most 0.3. self_clearance (T,) [m]: of the arm to itself. tip (T, 3)
+    followed. clearance (T,) [m]: to the world and the skill's keep-out regions, at most 0.3. self_clearance (T,) [m]: of the arm to itself. tip (T, 3)
     [m]. refusals: a sentence for each refused candidate. samples: candidates tried. chosen: which is followed, 0 is the
     mean. feasible: whether the motion passed every check; where False, ``joints`` are the least bad candidate, not to
     be performed.
@@ -124,13 +125,14 @@ def plan(
     [rad]: the present posture (home). seed: of the samples. samples: candidates, the mean among them. waypoints: of
     each path. margin [m]: least clearance to anything. comfortable [m]: clearance beyond which more likely is better
     than more clear. postures: end postures tried on the mean. rate [Hz]: samples of the plan.
-    The motion takes at least ``skill.duration``. Raises ValueError where the start itself is out of limits or too close
-    to something.
+    The regions that skill.keep_out outlines are kept clear of as if they were bodies. The motion takes at least
+    ``skill.duration``. Raises ValueError where the start itself is out of limits or too close to something, SketchError
+    where outlines bound no region.
     """
     if samples < 1 or waypoints < 2:
         raise ValueError(f"a plan needs at least 1 sample and 2 waypoints, not {samples} and {waypoints}")
     start = np.array(arm.home if start is None else start, dtype=float)
-    model = CollisionModel(arm, world)
+    model = CollisionModel(arm, world, visual_hull(skill.keep_out))
     _check_start(arm, model, start, margin)
     candidates, unlikely = _candidates(skill, arm.fk(start)[:3, 3], samples, waypoints, seed)
     attempts = Search(arm, model, start, margin, comfortable, postures).all(candidates, skill.orientation)

@@ -161,6 +161,11 @@ def body_pieces(client, bodies) -> list[Piece]:
     return pieces
 
 
+def region_pieces(regions) -> list[Piece]:
+    """The convex pieces of regions (teach.hull.Region), in the world's frame."""
+    return [convex(region.name, vertices, np.eye(4)) for region in regions for vertices, _ in region.pieces]
+
+
 def _com_pose(client, body, link) -> np.ndarray:
     if link < 0:
         position, quat_xyzw = client.getBasePositionAndOrientation(body)

@@ -129,6 +129,11 @@ class Sketch:
         """The strokes that draw the motion."""
         return tuple(stroke for stroke in self.strokes if stroke.kind == "motion")
 
+    @property
+    def outlines(self) -> tuple[Stroke, ...]:
+        """The strokes that outline regions to keep out of."""
+        return tuple(stroke for stroke in self.strokes if stroke.kind == "keep_out")
+
 
 def check(sketches: Sequence[Sketch]) -> None:
     """Raise SketchError unless the motion is drawn on at least two views whose rays cross well."""

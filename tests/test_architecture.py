@@ -14,7 +14,7 @@ COMMANDS = ("robot.capture", "scene.reconstruct", "scene.train", "scene.render",
 MAY_IMPORT = {
     "scene": {"scene"},
     "teach": {"teach", "scene.camera", "scene.files"},
-    "robot": {"robot", "teach.trajectory", "teach.sketch", "scene.camera", "scene.files"},
+    "robot": {"robot", "teach.trajectory", "teach.sketch", "teach.hull", "scene.camera", "scene.files"},
     "conf": {"conf", "scene", "teach", "robot"},
 }
 ONLY_IN = {"pycolmap": ("scene/colmap.py",), "open3d": ("scene/surface.py",), "pybullet": ("robot/bullet.py",), "pybullet_utils": ("robot/bullet.py",),

@@ -6,11 +6,13 @@ import numpy as np
 import pybullet
 import pytest
 from pybullet_utils.bullet_client import BulletClient
+from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from robot import shapes
 from robot.arm import Arm
 from robot.collision import CollisionModel
+from teach.hull import Region
 
 CAP = 0.3
 
@@ -124,6 +126,35 @@ def test_a_mesh_is_its_convex_hull(tmp_path, world):
     assert_clearance(
         CollisionModel(gantry(tmp_path, SPHERE), world), q, box_distance(x, np.array([0.1, 0.05, 0.05])) - 0.05
     )
+
+
+def box_region(name, at, lengths):
+    corners = np.array(np.meshgrid(*[[-1, 1]] * 3)).reshape(3, -1).T
+    return Region(name, ((at + corners * np.asarray(lengths) / 2, ConvexHull(corners).simplices),))
+
+
+@pytest.mark.parametrize("with_world", [True, False])
+def test_a_ball_is_as_far_from_a_region_as_from_a_body_of_its_shape(tmp_path, world, with_world):
+    at, lengths = np.array([0.1, 0, -0.1]), np.array([0.3, 0.1, 0.2])
+    model = CollisionModel(gantry(tmp_path, SPHERE), world if with_world else None, [box_region("region", at, lengths)])
+    q = positions()
+    assert_clearance(model, q, box_distance(q - at, lengths / 2) - 0.05)
+
+
+def test_a_region_of_several_pieces_is_as_far_as_its_nearest(tmp_path):
+    halves = [box_region("region", np.array([x, 0, 0]), [0.1, 0.1, 0.1]).pieces[0] for x in (-0.1, 0.2)]
+    model = CollisionModel(gantry(tmp_path, SPHERE), regions=[Region("region", tuple(halves))])
+    q, half = positions(), np.full(3, 0.05)
+    nearest = np.minimum(*(box_distance(q - [x, 0, 0], half) for x in (-0.1, 0.2)))
+    assert_clearance(model, q, nearest - 0.05)
+    assert model.nearest([0.2, 0, 0.12])[1] == ("z", "region")
+
+
+def test_the_base_may_stand_in_a_region_but_the_hand_may_not_touch_it():
+    arm = Arm.load("panda")
+    model = CollisionModel(arm, regions=[box_region("region", np.zeros(3), [0.2, 0.2, 0.4])])
+    assert {model.names[a] for a, b in model._pairs if model.names[b] == "region"} >= {"panda_hand", "panda_link1"}
+    assert not any(model.names[a] == "panda_link0" for a, b in model._pairs if model.names[b] == "region")
 
 
 def test_the_balls_contain_their_piece():

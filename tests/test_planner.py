@@ -1,19 +1,24 @@
 """Plans: checked, timed within limits, the same for the same seed, and refused with a reason."""
 
 import json
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pybullet
 import pytest
 from pybullet_utils.bullet_client import BulletClient
+from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from robot.arm import Arm
 from robot.collision import CollisionModel
 from robot.planner import Plan, plan
 from robot.timing import motion_spline, time_path
+from scene.camera import Camera, look_at
 from teach.basis import SquaredExponential
+from teach.hull import visual_hull
+from teach.sketch import Sketch, SketchError, Stroke
 from teach.trajectory import Skill, TrajectoryDistribution
 
 GOAL = np.array([0.83, 0.10, 0.30])
@@ -119,6 +124,65 @@ def test_where_nothing_is_feasible_each_refusal_names_place_and_bodies(arm, tabl
     assert not chosen.feasible and len(chosen.refusals) == chosen.samples == 4
     assert all("t = " in refusal and "Object3" in refusal for refusal in chosen.refusals)
     assert "none of 4" in chosen.sentence and len(chosen.joints) == len(chosen.times)
+
+
+def outlined(middle, half, numbers=(0,)):
+    """Boxes, all seen from two sides, as a person outlines them: by the hull of their corners."""
+    middle = np.atleast_2d(middle)
+    corners = half * np.array(np.meshgrid(*[[-1, 1]] * 3)).reshape(3, -1).T
+    sketches = []
+    for name, offset in (("left", [-0.3, 1.2, 0.5]), ("right", [-0.3, -1.2, 0.6])):
+        camera = Camera.from_fov(look_at(middle[0] + offset, middle[0]), 640, 480, 55)
+        seen = [camera.project(at + corners) for at in middle]
+        around = [pixels[np.append(ConvexHull(pixels).vertices, ConvexHull(pixels).vertices[0])] for pixels in seen]
+        strokes = tuple(Stroke(x, np.arange(len(x)), n, "keep_out") for x, n in zip(around, numbers))
+        sketches.append(Sketch(name, camera, strokes))
+    return tuple(sketches)
+
+
+@pytest.fixture(scope="module")
+def on_the_way(arm):
+    """A skill whose mean runs through a region that its samples may pass by."""
+    goal = np.array([0.6, 0.2, 0.3])
+    middle = skill_to(arm, goal).distribution.mean_at([0.6])[0]
+    return skill_to(arm, goal, spread=0.06, keep_out=outlined(middle, 0.025))
+
+
+@pytest.mark.parametrize("with_world", [True, False])
+def test_a_path_that_enters_a_region_gives_way_to_one_that_keeps_clear_of_it(arm, free, on_the_way, with_world):
+    world = free if with_world else None
+    allowed = plan(replace(on_the_way, keep_out=()), arm, world, seed=0, samples=20)
+    chosen = plan(on_the_way, arm, world, seed=0, samples=20)
+    (region,) = visual_hull(on_the_way.keep_out)
+    assert region.contains(allowed.tip).any() and allowed.feasible
+    assert chosen.feasible and chosen.chosen > 0 and not region.contains(chosen.tip).any()
+    assert "keep-out region" in chosen.refusals[0] and chosen.refusals[0].startswith("the mean: at t = 0.")
+    model = CollisionModel(arm, world, [region])
+    np.testing.assert_allclose(np.minimum(chosen.clearance, chosen.self_clearance), model.clearance(chosen.joints))
+    assert model.sweep(chosen.joints, required=0.01).clearance.min() >= 0.008
+    vertices = np.concatenate([vertices for vertices, _ in region.pieces])
+    assert np.linalg.norm(chosen.tip[:, None] - vertices, axis=-1).min() > 0.01
+
+
+def test_a_region_around_the_goal_leaves_nothing_feasible_and_is_named(arm):
+    goal = np.array([0.6, 0.2, 0.3])
+    keep_out = outlined([[0.3, -0.5, 0.2], goal], 0.06, numbers=(0, 1))
+    chosen = plan(skill_to(arm, goal, spread=0.002, keep_out=keep_out), arm, None, samples=3)
+    assert not chosen.feasible and len(chosen.refusals) == 3
+    assert all("keep-out region 2" in refusal for refusal in chosen.refusals)
+
+
+def test_a_start_inside_a_region_is_refused(arm):
+    tip = arm.fk(arm.home)[:3, 3]
+    skill = skill_to(arm, np.array([0.6, 0.2, 0.3]), keep_out=outlined(tip, 0.03))
+    with pytest.raises(ValueError, match="at the start panda_.* mm inside keep-out region .*start the arm elsewhere"):
+        plan(skill, arm, None, samples=2)
+
+
+def test_outlines_that_bound_no_region_are_not_planned_around(arm):
+    skill = skill_to(arm, GOAL, keep_out=outlined(GOAL, 0.05)[:1])
+    with pytest.raises(SketchError, match="only on view 'left'"):
+        plan(skill, arm, None, samples=2)
 
 
 def test_a_goal_out_of_reach_is_refused(arm):

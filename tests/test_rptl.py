@@ -1,3 +1,4 @@
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -5,6 +6,7 @@ import pytest
 
 from scene.camera import Camera, look_at
 from teach.density import Flow, JointFlow
+from teach.hull import visual_hull
 from teach.raytrace import Algorithm1
 from teach.rptl import fit
 from teach.sketch import Event, Sketch, SketchError, Stroke
@@ -109,11 +111,22 @@ def test_the_papers_choices_work_together():
 
 def test_events_and_outlines_of_regions_reach_the_skill():
     drawn = sketches()
-    outline = Stroke([[10, 10], [50, 10], [50, 50]], [0, 1, 2], kind="keep_out")
+    around = [Stroke(camera.project(TARGET + np.stack([0.1 * np.sin(7 * S), 0.1 * np.cos(7 * S), 0 * S], axis=1)),
+                     S, kind="keep_out") for camera in CAMERAS]  # fmt: skip
     marked = Stroke(drawn[0].strokes[0].points, 3 * S, events=(Event("gripper_close", 1.5),))
-    skill = fit([Sketch("v0", CAMERAS[0], (marked, outline)), drawn[1]], density=Flow(steps=20))
+    views = [Sketch("v0", CAMERAS[0], (marked, around[0])), drawn[1], Sketch("v2", CAMERAS[2], around[2:])]
+    skill = fit(views, density=Flow(steps=20))
     assert skill.events[0].name == "gripper_close" and 0.3 * 3 < skill.events[0].time < 0.7 * 3
-    assert [sketch.view for sketch in skill.keep_out] == ["v0"]
+    assert [sketch.view for sketch in skill.keep_out] == ["v0", "v2"]
+    (region,) = visual_hull(skill.keep_out)
+    assert skill.report["keep_out"] == {"keep-out region": 1e3 * region.volume} and region.contains(TARGET)
+
+
+def test_an_outline_that_bounds_no_region_is_refused_before_anything_is_learned():
+    first, second = sketches()
+    outline = Stroke([[10, 10], [50, 10], [50, 50], [10, 11]], [0, 1, 2, 3], kind="keep_out")
+    with pytest.raises(SketchError, match="outlined only on view 'v0'"):
+        fit([replace(first, strokes=(*first.strokes, outline)), second], density=None, raytrace=lambda *_: 1 / 0)
 
 
 def test_warnings_are_sentences_about_what_was_drawn():
