@@ -20,6 +20,7 @@ from teach.likelihood import fit_coherent, fit_diagonal, fit_mean, hand_prior, m
 from teach.raytrace import Algorithm1, Intersections
 from teach.sketch import Event, Sketch, SketchError, check, ray_angle
 from teach.trajectory import Skill, TrajectoryDistribution
+from teach.turns import unrolled
 
 POINTS = 100
 """Points at even times by which a stroke is represented while fitting."""
@@ -36,6 +37,7 @@ def fit(
     covariance: str = "coherent",
     smoothness: float = 1e-8,
     strength: float = 20.0,
+    periodic: bool | None = None,
 ) -> Skill:
     """Learn the motion that the sketches draw.
 
@@ -43,12 +45,18 @@ def fit(
     is common to strokes: "aligned" (epipolar geometry), "arc_length" or the "drawn" time of each, normalised.
     covariance: "coherent" (full, of whole strokes) or "diagonal" (the paper's independent weights). smoothness: penalty
     of the mean's integrated squared acceleration, against its squared error. strength: number of strokes that the
-    coherent covariance's prior is worth. Raises SketchError.
+    coherent covariance's prior is worth. periodic: the motion closes and repeats, drawn round and round (teach.turns);
+    None: if all strokes are, or the basis is periodic; the skill is one turn then, in the periodic basis as wide as
+    ``basis``. Raises SketchError.
     """
     started = clock.perf_counter()
     density, raytrace, basis = density or Flow(), raytrace or Algorithm1(), basis or SquaredExponential()
     if covariance not in ("coherent", "diagonal"):
         raise ValueError(f"covariance is 'coherent' or 'diagonal', not {covariance!r}")
+    required = basis.period is not None if periodic is None else periodic
+    sketches, turns = (sketches, 0.0) if periodic is False else unrolled(sketches, required)
+    if turns and basis.period is None:
+        basis = basis.wrapped()
     check(sketches)
     drawn = [sketch for sketch in sketches if sketch.motions]
     cameras = [sketch.camera for sketch in drawn]
@@ -63,6 +71,8 @@ def fit(
     else:
         S = fit_coherent(_observations(basis, mean, strokes, cameras), hand_prior(basis, mean, smoothness), strength)
     report = _report(drawn, strokes, densities, met, basis, mean)
+    if turns:
+        report["turns"] = turns
     report["seconds"] = clock.perf_counter() - started
     duration = max(float(np.median([stroke.duration for sketch in drawn for stroke in sketch.motions])), 0.1)
     keep_out = tuple(
