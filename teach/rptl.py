@@ -17,10 +17,10 @@ from teach.align import common_times, resample
 from teach.basis import SquaredExponential
 from teach.density import Flow
 from teach.likelihood import fit_coherent, fit_diagonal, fit_mean, hand_prior, moments_over_time
+from teach.periodic import unrolled
 from teach.raytrace import Algorithm1, Intersections
 from teach.sketch import Event, Sketch, SketchError, check, ray_angle
 from teach.trajectory import Skill, TrajectoryDistribution
-from teach.turns import unrolled
 
 POINTS = 100
 """Points at even times by which a stroke is represented while fitting."""
@@ -45,7 +45,7 @@ def fit(
     is common to strokes: "aligned" (epipolar geometry), "arc_length" or the "drawn" time of each, normalised.
     covariance: "coherent" (full, of whole strokes) or "diagonal" (the paper's independent weights). smoothness: penalty
     of the mean's integrated squared acceleration, against its squared error. strength: number of strokes that the
-    coherent covariance's prior is worth. periodic: the motion closes and repeats, drawn round and round (teach.turns);
+    coherent covariance's prior is worth. periodic: the motion closes and repeats, drawn round and round (teach.periodic);
     None: if all strokes are, or the basis is periodic; the skill is one turn then, in the periodic basis as wide as
     ``basis``. Raises SketchError.
     """

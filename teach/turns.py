@@ -1,4 +1,4 @@
-"""Motions that go round and round, as wiping and stirring do: which strokes draw them, cut into single turns.
+"""Strokes that go round and round, and the single turns they are cut into.
 
 Notation
     s          place along a stroke: arc length measured with a ruler (teach.align), at N even steps; z(s) [px]
@@ -12,56 +12,36 @@ phi, not at the lag P, because a hand draws no two of them equally long. There-a
 a letter, a spiral or a closed line drawn once is none.
 """
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from teach.align import arc_length
 from teach.curve import extent
-from teach.sketch import Sketch, SketchError, Stroke
+from teach.sketch import Stroke
 
 MIN_TURNS = 1.7
 """Times a stroke goes round at least; less is a closed line with an overlap."""
 TOLERANCE = 0.15
-"""Standard deviation of turns, and the mismatch of strokes the same way round, over the extent of a turn."""
+"""Largest standard deviation of a stroke's turns over the extent of their mean."""
 WINDOW = 0.3
 """A turn is shorter or longer than the stroke's others by at most this fraction of them."""
 SHORT = 0.15
 """A last turn that ends at most this fraction early counts, and is closed by a straight line."""
 APART = 0.25
-"""Largest distance of a stroke's start from the mean start of the view's strokes, and of a closed stroke's end from its
-start, over the extent of a turn."""
+"""Largest distance of what should be one place, such as both ends of a closed stroke, over the extent of a turn."""
 REACH = 0.04
 """Where a stroke goes is told from this part of a turn before and after."""
 SAMPLES, PHASES = 800, 50
 """N, and phases at which turns are compared."""
 
 
-def unrolled(sketches: Sequence[Sketch], required: bool = False) -> tuple[list[Sketch], float]:
-    """The sketches with each motion stroke cut into single turns, and how many turns a stroke has (median over
-    strokes).
-
-    Turns start where the view's strokes start, on average, so strokes of all views must start at the same place of the
-    motion. They are numbered as demonstrations from 0 in each view; each keeps its stroke's clock. Unless all motion
-    strokes of all views go round and round the sketches are returned as they are, with 0 turns. required: a closed
-    stroke drawn once round is a turn as well, and any other raises SketchError. Strokes of a view that start at
-    different places or go round in opposite directions raise SketchError.
-    """
-    motions = [stroke for sketch in sketches for stroke in sketch.motions]
-    if not motions or min(stroke.length for stroke in motions) <= 0:
-        return list(sketches), 0.0  # teach.sketch.check says what is wrong
-    if not required and not all(len(cuts(stroke)) for stroke in motions):
-        return list(sketches), 0.0
-    views = [_unrolled_view(sketch) for sketch in sketches]
-    return [sketch for sketch, _ in views], float(np.median(np.concatenate([counts for _, counts in views])))
-
-
 def turns(stroke: Stroke, start=None, once: bool = False) -> list[Stroke]:
     """The single turns of the stroke, in order; none if it does not go round and round.
 
     start: (2,) [px] where turns begin; None: where the stroke does. once: a closed stroke drawn once round is its own
-    turn. Consecutive turns share the point, interpolated, at which they are cut. Events go with the turn of their time.
+    turn. Consecutive turns share the point, interpolated, at which they are cut. Events go with
+    the turn of their time, those before the first and after the last with these.
     """
     start = stroke.points[0] if start is None else np.asarray(start, dtype=float)
     found = cuts(stroke, start)
@@ -69,8 +49,7 @@ def turns(stroke: Stroke, start=None, once: bool = False) -> list[Stroke]:
         found = _cuts_once(stroke, start)
     if not len(found):
         return []
-    indices = np.interp(found, arc_length(stroke), np.arange(len(stroke.points)))
-    pieces = [_piece(stroke, i, j) for i, j in zip(indices[:-1], indices[1:], strict=True)]
+    pieces = _pieces(stroke, found)
     pieces[0] = _from(pieces[0], start) if found[0] == 0 else pieces[0]
     pieces[-1] = _to(pieces[-1], start) if found[-1] == 1 else pieces[-1]
     return [replace(piece, demonstration=number) for number, piece in enumerate(pieces)]
@@ -186,15 +165,26 @@ def _cuts_once(stroke: Stroke, start) -> np.ndarray:
     return _refined(z, np.array([0, c]), reach, start) / (len(z) - 1)
 
 
-def _piece(stroke: Stroke, i: float, j: float) -> Stroke:
+def _pieces(stroke: Stroke, found) -> list[Stroke]:
+    """The stroke between its cuts (n + 1,), with their interpolated points."""
+    number = np.arange(len(stroke.points))
+    indices = np.interp(found, arc_length(stroke), number)
+    indices = np.where(found == 0, 0, np.where(found == 1, number[-1], indices))  # a pen that rests is part of the turn
+    inner = np.interp(indices[1:-1], number, stroke.times)
+    owner = np.searchsorted(inner, [event.time for event in stroke.events], side="right")
+    return [
+        _piece(stroke, i, j, tuple(event for event, its in zip(stroke.events, owner, strict=True) if its == k))
+        for k, (i, j) in enumerate(zip(indices[:-1], indices[1:], strict=True))
+    ]
+
+
+def _piece(stroke: Stroke, i: float, j: float, events) -> Stroke:
     """The stroke from its i-th to its j-th point, both fractional and interpolated."""
     index = np.concatenate([[i], np.arange(np.floor(i) + 1, np.ceil(j)), [j]])
     at = lambda values: np.interp(index, np.arange(len(values)), values)
-    points, times = np.stack([at(column) for column in stroke.points.T], axis=1), at(stroke.times)
-    before, after = (i == 0, j == len(stroke.points) - 1)  # events outside the stroke's times belong to its ends
-    events = [e for e in stroke.events if (before or e.time >= times[0]) and (after or e.time < times[-1])]
+    points = np.stack([at(column) for column in stroke.points.T], axis=1)
     pressure = None if stroke.pressure is None else at(stroke.pressure)
-    return replace(stroke, points=points, times=times, pressure=pressure, events=tuple(events))
+    return replace(stroke, points=points, times=at(stroke.times), pressure=pressure, events=events)
 
 
 def _to(turn: Stroke, point) -> Stroke:
@@ -215,45 +205,3 @@ def _from(turn: Stroke, point) -> Stroke:
 def _reversed(stroke: Stroke) -> Stroke:
     pressure = None if stroke.pressure is None else stroke.pressure[::-1]
     return replace(stroke, points=stroke.points[::-1], times=-stroke.times[::-1], pressure=pressure)
-
-
-def _unrolled_view(sketch: Sketch) -> tuple[Sketch, list[float]]:
-    """The sketch with its motion strokes cut into turns, and how many each has. Raises SketchError."""
-    if not sketch.motions:
-        return sketch, []
-    start = np.mean([stroke.points[0] for stroke in sketch.motions], axis=0)
-    pieces, counts, shapes = [], [], []
-    for number, stroke in enumerate(sketch.motions):
-        found = turns(stroke, start, once=True)
-        if not found:
-            raise SketchError(f"{_named(sketch, number)} does not go round: close it or draw it round and round, "
-                              "or fit with periodic=False")
-        pieces += found
-        counts.append(len(found))
-        shapes.append(np.mean([turn.at(np.arange(PHASES) / PHASES) for turn in found], axis=0))
-    _require_alike(sketch, shapes, start)
-    single = [replace(turn, demonstration=number) for number, turn in enumerate(pieces)]
-    return replace(sketch, strokes=(*single, *[s for s in sketch.strokes if s.kind != "motion"])), counts
-
-
-def _require_alike(sketch: Sketch, shapes, start) -> None:
-    """Raise SketchError unless the strokes start at one place and go the same way round. shapes: of their mean turns
-    (PHASES, 2) [px]."""
-    size = extent(np.concatenate(shapes))
-    for number, (stroke, shape) in enumerate(zip(sketch.motions, shapes, strict=True)):
-        if np.linalg.norm(stroke.points[0] - start) > APART * size:
-            raise SketchError(f"{_named(sketch, number)} starts elsewhere than the others: start all strokes of a "
-                              "periodic motion at the same place, or fit with periodic=False")
-        same, opposite = (_distance(shapes[0], other) for other in (shape, np.roll(shape[::-1], 1, axis=0)))
-        if same > TOLERANCE * size and opposite < same:
-            raise SketchError(f"{_named(sketch, number)} goes round in the opposite direction to stroke 0: draw all "
-                              "strokes the same way round")
-
-
-def _distance(a, b) -> float:
-    """RMS distance [px] of corresponding points (N, 2)."""
-    return float(np.sqrt(((a - b) ** 2).sum(axis=1).mean()))
-
-
-def _named(sketch: Sketch, number: int) -> str:
-    return f"stroke {number} on view {sketch.view!r}"
