@@ -16,20 +16,20 @@ from teach.sketch import Sketch, SketchError
 from teach.turns import APART, PHASES, TOLERANCE, cuts, turns
 
 
-def unrolled(sketches: Sequence[Sketch], required: bool = False) -> tuple[list[Sketch], float]:
+def unrolled(sketches: Sequence[Sketch], periodic: bool | None = None) -> tuple[list[Sketch], float]:
     """The sketches with each motion stroke cut into single turns, and how many turns a stroke has (median over
     strokes).
 
     Turns start where the view's strokes start, on average, so strokes of all views must start at the same place of the
-    motion. They are numbered as demonstrations from 0 in each view; each keeps its stroke's clock. Unless all motion
-    strokes of all views go round and round the sketches are returned as they are, with 0 turns. required: a closed
-    stroke drawn once round is a turn as well, and any other raises SketchError. Strokes of a view that start at
-    different places or go round in opposite directions raise SketchError.
+    motion. They are numbered as demonstrations from 0 in each view; each keeps its stroke's clock. periodic: None: unless
+    all motion strokes of all views go round and round, the sketches are returned as they are, with 0 turns; False: they
+    always are; True: a closed stroke drawn once round is a turn as well, and any other raises SketchError, as do, when
+    periodic, strokes of a view that start at different places or go round in opposite directions.
     """
     motions = [stroke for sketch in sketches for stroke in sketch.motions]
-    if not motions or min(stroke.length for stroke in motions) <= 0:
-        return list(sketches), 0.0  # teach.sketch.check says what is wrong
-    if not required and not all(len(cuts(stroke)) for stroke in motions):
+    if periodic is False or not motions or min(stroke.length for stroke in motions) <= 0:
+        return list(sketches), 0.0  # of those that do not move teach.sketch.check says what is wrong
+    if periodic is None and not all(len(cuts(stroke)) for stroke in motions):
         return list(sketches), 0.0
     views = [_unrolled_view(sketch) for sketch in sketches]
     return [sketch for sketch, _ in views], float(np.median(np.concatenate([counts for _, counts in views])))

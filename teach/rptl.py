@@ -45,16 +45,17 @@ def fit(
     is common to strokes: "aligned" (epipolar geometry), "arc_length" or the "drawn" time of each, normalised.
     covariance: "coherent" (full, of whole strokes) or "diagonal" (the paper's independent weights). smoothness: penalty
     of the mean's integrated squared acceleration, against its squared error. strength: number of strokes that the
-    coherent covariance's prior is worth. periodic: the motion closes and repeats, drawn round and round (teach.periodic);
-    None: if all strokes are, or the basis is periodic; the skill is one turn then, in the periodic basis as wide as
+    coherent covariance's prior is worth. periodic: whether the motion closes and repeats, as ``teach.periodic.unrolled``
+    has it; None is True for a periodic basis. The skill is a single turn then, in the periodic basis as wide as
     ``basis``. Raises SketchError.
     """
     started = clock.perf_counter()
     density, raytrace, basis = density or Flow(), raytrace or Algorithm1(), basis or SquaredExponential()
     if covariance not in ("coherent", "diagonal"):
         raise ValueError(f"covariance is 'coherent' or 'diagonal', not {covariance!r}")
-    required = basis.period is not None if periodic is None else periodic
-    sketches, turns = (sketches, 0.0) if periodic is False else unrolled(sketches, required)
+    if periodic is None and basis.period is not None:
+        periodic = True
+    sketches, turns = unrolled(sketches, periodic)
     if turns and basis.period is None:
         basis = basis.wrapped()
     check(sketches)

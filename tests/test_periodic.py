@@ -41,11 +41,12 @@ def test_sketches_with_a_stroke_that_does_not_go_round_and_round_are_left_as_the
     for sketches in ([sketch(circle(3)), sketch(circle(1), view="w")], [sketch(circle(3), spiral(3))], [sketch()]):
         single, count = unrolled(sketches)
         assert count == 0 and all(a is b for a, b in zip(single, sketches, strict=True))
+    assert unrolled([sketch(circle(3))], periodic=False)[1] == 0 < unrolled([sketch(circle(3))])[1]
 
 
 @pytest.mark.parametrize("count", [0.95, 1.0, 1.3])
 def test_a_closed_line_drawn_once_is_a_turn_if_asked_for(count):
-    single, found = unrolled([sketch(circle(count)), sketch(circle(3), view="w")], required=True)
+    single, found = unrolled([sketch(circle(count)), sketch(circle(3), view="w")], periodic=True)
     turn = single[0].motions[0]
     assert [len(s.motions) for s in single] == [1, 3] and found == 2.0
     assert np.linalg.norm(turn.points[-1] - turn.points[0]) < 3
@@ -54,7 +55,7 @@ def test_a_closed_line_drawn_once_is_a_turn_if_asked_for(count):
 
 def test_strokes_that_cannot_be_turns_of_one_motion_are_refused():
     with pytest.raises(SketchError, match="stroke 1 on view 'v' does not go round: close it"):
-        unrolled([sketch(circle(1), circle(0.7))], required=True)
+        unrolled([sketch(circle(1), circle(0.7))], periodic=True)
     with pytest.raises(SketchError, match="opposite direction to stroke 0"):
         unrolled([sketch(circle(3), circle(3)[::-1])])
     with pytest.raises(SketchError, match="'v' start up to 200 px apart"):
