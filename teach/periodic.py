@@ -21,10 +21,11 @@ def unrolled(sketches: Sequence[Sketch], periodic: bool | None = None) -> tuple[
     strokes).
 
     Turns start where the view's strokes start, on average, so strokes of all views must start at the same place of the
-    motion. They are numbered as demonstrations from 0 in each view; each keeps its stroke's clock. periodic: None: unless
-    all motion strokes of all views go round and round, the sketches are returned as they are, with 0 turns; False: they
-    always are; True: a closed stroke drawn once round is a turn as well, and any other raises SketchError, as do, when
-    periodic, strokes of a view that start at different places or go round in opposite directions.
+    motion. They are numbered as demonstrations from 0 in each view; each keeps its stroke's clock.
+
+    periodic: None: unless all motion strokes of all views go round and round, the sketches are returned as they are,
+    with 0 turns; False: they always are; True: a closed stroke drawn once round is a turn as well, and any other raises
+    SketchError. So do strokes of a view that start at different places or go round in opposite directions.
     """
     motions = [stroke for sketch in sketches for stroke in sketch.motions]
     if periodic is False or not motions or min(stroke.length for stroke in motions) <= 0:

@@ -45,8 +45,8 @@ def fit(
     is common to strokes: "aligned" (epipolar geometry), "arc_length" or the "drawn" time of each, normalised.
     covariance: "coherent" (full, of whole strokes) or "diagonal" (the paper's independent weights). smoothness: penalty
     of the mean's integrated squared acceleration, against its squared error. strength: number of strokes that the
-    coherent covariance's prior is worth. periodic: whether the motion closes and repeats, as ``teach.periodic.unrolled``
-    has it; None is True for a periodic basis. The skill is a single turn then, in the periodic basis as wide as
+    coherent covariance's prior is worth. periodic: whether the motion closes and repeats, None to see it by the strokes
+    (teach.periodic.unrolled) or a periodic basis; the skill is a single turn then, in the periodic basis as wide as
     ``basis``. Raises SketchError.
     """
     started = clock.perf_counter()

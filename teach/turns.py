@@ -40,8 +40,8 @@ def turns(stroke: Stroke, start=None, once: bool = False) -> list[Stroke]:
     """The single turns of the stroke, in order; none if it does not go round and round.
 
     start: (2,) [px] where turns begin; None: where the stroke does. once: a closed stroke drawn once round is its own
-    turn. Consecutive turns share the point, interpolated, at which they are cut. Events go with
-    the turn of their time, those before the first and after the last with these.
+    turn. Consecutive turns share the point, interpolated, at which they are cut. Events go with the turn of their time,
+    those before the first and after the last with these.
     """
     start = stroke.points[0] if start is None else np.asarray(start, dtype=float)
     found = cuts(stroke, start)
@@ -77,7 +77,7 @@ def _even(stroke: Stroke) -> np.ndarray:
 
 def _lags(z) -> list[int]:
     """Local minima of D [samples], from the shortest on."""
-    longest = int((len(z) - 1) / (MIN_TURNS - SHORT))
+    longest = int((len(z) - 1) / (MIN_TURNS - SHORT))  # of turns that differ in length it may be above their mean
     D = [np.sqrt(((z[lag:] - z[:-lag]) ** 2).sum(axis=1).mean()) for lag in range(1, longest + 2)]
     return [k + 1 for k in range(7, longest) if D[k] <= min(D[k - 1], D[k + 1]) and D[k] < 0.5 * max(D[:k])]
 
