@@ -144,13 +144,14 @@ def fit(job: Job, out: Path) -> dict:
     from teach import sketch as sketch_files
     from teach.align import common_times
     from teach.density import over_picture
+    from teach.periodic import unrolled
     from teach.rptl import view_densities
 
     sketches = sketch_files.load(job.run / "sketches.json")
     parts = {part: _setting(job, f"teach.{part}") for part in ("density", "raytrace", "basis")}
     skill = _setting(job, "teach.rptl")(sketches, seed=job.cfg.seed, **parts)
     skill.save(out / "skill.npz")
-    drawn = [sketch for sketch in sketches if sketch.motions]
+    drawn = [sketch for sketch in unrolled(sketches, job.cfg.teach.rptl.periodic)[0] if sketch.motions]
     _, densities = view_densities(drawn, common_times(drawn, job.cfg.teach.rptl.time), parts["density"], seed=job.cfg.seed)
     seen = {s.view: over_picture(p, (s.camera.width, s.camera.height)) for s, p in zip(drawn, densities, strict=True)}
     np.savez_compressed(out / "densities.npz", **seen)

@@ -78,7 +78,10 @@ def hand_prior(basis, mean, smoothness: float, count: int = 100) -> np.ndarray:
     x = basis(t) @ mean
     x = x - x.mean(axis=0)
     extent = np.ptp(x, axis=0).max() or 1.0
-    smooth = SMOOTH**2 * np.exp(-((t[:, None] - t) ** 2) / (2 * SMOOTH_LENGTH**2))
+    lag = t[:, None] - t
+    if basis.period:  # the chord of the circle that time goes round: the end remembers the start
+        lag = np.sin(np.pi * lag / basis.period) * basis.period / np.pi
+    smooth = SMOOTH**2 * np.exp(-(lag**2) / (2 * SMOOTH_LENGTH**2))
     P = projection(basis, t, np.ones(count), smoothness)
     blocks = np.zeros((basis.count, 3, basis.count, 3))
     for axis in range(3):

@@ -7,7 +7,7 @@ Notation (Zhi et al. 2023, Section IV-B; Paraschos et al. 2013)
 """
 
 import json
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from zipfile import BadZipFile
 
@@ -15,18 +15,20 @@ import numpy as np
 from jaxtyping import Float
 
 from scene.files import replacing
-from teach.basis import SquaredExponential
+from teach.basis import Periodic, SquaredExponential
 from teach.sketch import Event, Sketch, dumps, loads
 
 EXACT = 1e-9
 """A condition without covariance is met to this distance [m]."""
+BASES = {basis.__name__: basis for basis in (SquaredExponential, Periodic)}
+"""The bases that a skill's file can name."""
 
 
 @dataclass(frozen=True, eq=False)
 class TrajectoryDistribution:
     """xi(t) = W^T Phi(t) with Gaussian weights. mean: (M, 3) [m]. covariance: (3M, 3M) [m^2], basis-major."""
 
-    basis: SquaredExponential
+    basis: SquaredExponential | Periodic
     mean: Float[np.ndarray, "M 3"]
     covariance: Float[np.ndarray, "3*M 3*M"]
 
@@ -147,8 +149,8 @@ class Skill:
         d = self.distribution
         text = {
             "kind": "scene2skill.skill",
-            "version": 1,
-            "basis": {"count": d.basis.count, "gamma": d.basis.gamma},
+            "version": 2,
+            "basis": {"kind": type(d.basis).__name__, **asdict(d.basis)},
             "events": [[event.name, event.time] for event in self.events],
             "keep_out": dumps(self.keep_out),
             "report": self.report,
@@ -168,15 +170,22 @@ class Skill:
             with np.load(path, allow_pickle=False) as file:
                 arrays = {name: file[name] for name in file.files}
             text = json.loads(str(arrays["text"]))
-            if (text["kind"], text["version"]) != ("scene2skill.skill", 1):
-                raise ValueError(f"version {text['version']!r} of {text['kind']!r}, expected 1 of 'scene2skill.skill'")
-            basis = SquaredExponential(**text["basis"])
-            distribution = TrajectoryDistribution(basis, arrays["mean"], arrays["covariance"])
+            if text["kind"] != "scene2skill.skill" or text["version"] not in (1, 2):
+                raise ValueError(f"version {text['version']!r} of {text['kind']!r}, expected 1 or 2 of "
+                                 "'scene2skill.skill'")
+            distribution = TrajectoryDistribution(_basis(**text["basis"]), arrays["mean"], arrays["covariance"])
             events = tuple(Event(str(name), float(time)) for name, time in text["events"])
             return cls(distribution, float(arrays["duration"]), events, arrays.get("orientation"),
                        tuple(loads(text["keep_out"])), text["report"])
         except (ValueError, KeyError, TypeError, EOFError, OSError, BadZipFile) as error:
             raise ValueError(f"{path} is not a skill file ({error}); teach.fit writes one") from None
+
+
+def _basis(kind: str = "SquaredExponential", **settings) -> SquaredExponential | Periodic:
+    """The basis that a file describes; one of version 1 names no kind."""
+    if kind not in BASES:
+        raise ValueError(f"its basis is {kind!r}, known are {', '.join(BASES)}")
+    return BASES[kind](**settings)
 
 
 def _blocks(covariance, count: int) -> np.ndarray:

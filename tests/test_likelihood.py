@@ -99,3 +99,23 @@ def test_the_hands_prior_has_its_offset_and_size():
     variance = np.diagonal(d.covariance_at([0.5]), axis1=1, axis2=2)[0]
     assert np.allclose(variance, (0.03**2 + 0.038**2) * 0.4**2 / 2, rtol=0.1)
     assert np.isclose(d.covariance_at([0.0])[0, 0, 0] - variance[0], (0.045 * 0.2) ** 2, rtol=0.3)
+
+
+def test_the_penalty_of_a_periodic_motion_does_not_depend_on_where_it_starts():
+    basis, W = BASIS.wrapped(), np.random.default_rng(0).standard_normal(20)
+    t = 2 * np.pi * (np.linspace(0, 1, 4001)[:, None] - basis.centres)
+    second = basis.kappa**2 * np.sin(t) ** 2 - basis.kappa * np.cos(t)
+    acceleration = (2 * np.pi) ** 2 * (second * np.exp(basis.kappa * (np.cos(t) - 1))) @ W
+    P = smoothness_penalty(basis)
+    for k in range(20):
+        assert np.isclose(np.roll(W, k) @ P @ np.roll(W, k), (acceleration**2).mean(), rtol=0.03)
+
+
+def test_the_hands_prior_of_a_periodic_motion_is_the_same_all_the_way_round():
+    basis, angle = BASIS.wrapped(), 2 * np.pi * T
+    mean = projection(basis, T, np.ones(50), 1e-9) @ np.stack([np.cos(angle), np.sin(angle), 0 * T], axis=1)
+    d = TrajectoryDistribution(basis, mean, hand_prior(basis, mean, 1e-9))
+    Psi = d.features([0.0, 0.1, 0.95, 0.05])[[2, 5, 8, 11]]  # z, of which no size is part
+    C = Psi @ d.covariance @ Psi.T
+    assert np.allclose(np.diag(C), (0.03**2 + 0.038**2) * 2**2 / 2, rtol=0.05)
+    assert np.isclose(C[0, 1], C[2, 3], rtol=0.02)  # 0.1 apart, also where the turn begins

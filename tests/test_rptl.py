@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from scene.camera import Camera, look_at
+from teach.basis import Periodic, SquaredExponential
 from teach.density import Flow, JointFlow
 from teach.hull import visual_hull
 from teach.raytrace import Algorithm1
@@ -149,6 +150,64 @@ def test_sketches_that_cannot_be_fitted_are_refused():
         fit(sketches(), time="later")
     with pytest.raises(SketchError, match="meet at"):
         fit(sketches(), density=Flow(steps=5), raytrace=Algorithm1(near=5.0, far=6.0))
+
+
+def mean_distance(a, b):
+    """Mean distance [m] of points of curve a from curve b."""
+    return np.linalg.norm(a[:, None] - b[None], axis=-1).min(axis=1).mean()
+
+
+def wipe(turns):
+    """Points (T, 3) [m] of a tilted circle so many turns from its start."""
+    angle = 2 * np.pi * np.asarray(turns)
+    return TARGET + 0.12 * np.stack([np.cos(angle), 0.8 * np.sin(angle), 0.6 * np.sin(angle)], axis=-1)
+
+
+def wiped(counts=(3, 3), durations=(3.0, 6.0), noise=1.0, seed=0):
+    """Each view shows the circle so many times round, at a speed that goes up and down."""
+    rng, drawn = np.random.default_rng(seed), []
+    for camera, count, duration in zip(CAMERAS[1:], counts, durations, strict=True):
+        speed = np.exp(np.interp(np.linspace(0, 1, 900), np.linspace(0, 1, 7), rng.normal(0, 0.4, 7)))
+        turns = count * (np.cumsum(speed) - speed[0]) / (speed.sum() - speed[0])
+        points = camera.project(wipe(turns)) + noise * rng.standard_normal((900, 2))
+        drawn.append(Sketch(f"v{len(drawn)}", camera, (Stroke(points, np.linspace(0, duration, 900)),)))
+    return drawn
+
+
+@pytest.fixture(scope="module")
+def wiping():
+    return fit(wiped(), density=Flow(steps=40))
+
+
+def test_a_circle_drawn_round_and_round_is_recovered_within_millimetres_and_closes(wiping):
+    mean, truth = wiping.distribution.mean_at(S), wipe(np.linspace(0, 1, 1000))
+    assert furthest(mean, truth) < 0.008 and mean_distance(mean, truth) < 0.004
+    samples = wiping.distribution.sample(10, [0, 1, 0.1, 1.1], np.random.default_rng(0))
+    assert np.allclose(samples[:, [0, 2]], samples[:, [1, 3]], atol=1e-9)
+
+
+def test_one_turn_is_the_skill_and_the_report_says_how_many_were_drawn(wiping, tmp_path):
+    assert wiping.report["turns"] == 3 and 1 < wiping.duration < 2
+    wiping.save(tmp_path / "skill.npz")
+    assert Skill.load(tmp_path / "skill.npz").distribution.basis == SquaredExponential().wrapped()
+
+
+def test_views_may_show_different_numbers_of_turns():
+    skill = fit(wiped((2, 5), (2.0, 5.0)), density=Flow(steps=20))
+    assert mean_distance(skill.distribution.mean_at(S), wipe(np.linspace(0, 1, 1000))) < 0.005
+    assert skill.report["turns"] == 3.5 and np.isclose(skill.duration, 1, rtol=0.2)
+
+
+def test_motions_drawn_once_are_periodic_only_if_asked_for(skill):
+    assert "turns" not in skill.report and skill.distribution.basis.period is None
+    once, quick = wiped((1, 1), noise=0), {"density": Flow(steps=5)}
+    assert fit(once, **quick).distribution.basis.period is None
+    for settings in ({"periodic": True}, {"basis": Periodic(15)}):
+        skill = fit(once, **quick, **settings)
+        assert skill.report["turns"] == 1 and skill.distribution.basis.period == 1
+    assert fit(wiped(), **quick, periodic=False).distribution.basis.period is None
+    with pytest.raises(SketchError, match="does not go round"):
+        fit(sketches(), periodic=True)
 
 
 LETTERS = Path(__file__).parents[2] / "shared" / "data" / "strokes"

@@ -1,10 +1,12 @@
+import json
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from scene.camera import Camera, look_at
-from teach.basis import SquaredExponential
+from teach.basis import Periodic, SquaredExponential
 from teach.sketch import Event, Sketch, Stroke
 from teach.trajectory import Skill, TrajectoryDistribution
 
@@ -136,3 +138,50 @@ def test_other_files_are_not_skills(tmp_path):
     for name in ("text.npz", "other.npz", "pickled.npz"):
         with pytest.raises(ValueError, match="not a skill file"):
             Skill.load(tmp_path / name)
+
+
+def periodic(kappa=2.7):
+    d = distribution(count=12)
+    return TrajectoryDistribution(Periodic(12, kappa), d.mean, d.covariance)
+
+
+def test_a_periodic_motion_ends_where_it_starts_also_when_it_is_made_to_start_elsewhere():
+    x, rng = np.array([0.1, 0.2, 0.3]), np.random.default_rng(0)
+    for d in (periodic().condition([0, 0.4], [x, 2 * x]), periodic().with_first_weight(x)):
+        samples = d.sample(20, [0, 1, 0.1, 1.1], rng)
+        assert np.abs(samples[:, :2] - x).max() < 1e-6 and np.allclose(samples[:, 2], samples[:, 3])
+    with pytest.raises(ValueError, match="contradict"):
+        periodic().condition([0, 1], [x, 2 * x])
+
+
+def test_a_periodic_skill_is_read_back_as_it_was_saved(tmp_path):
+    skill = Skill(periodic(), 1.5)
+    skill.save(tmp_path / "skill.npz")
+    back = Skill.load(tmp_path / "skill.npz").distribution
+    assert back.basis == Periodic(12, 2.7)
+    assert np.array_equal(back.sample(2, T, np.random.default_rng(0)), periodic().sample(2, T, np.random.default_rng(0)))
+
+
+def rewritten(path, version, basis):
+    """The skill file with another version and description of its basis."""
+    with np.load(path) as file:
+        arrays = dict(file)
+    text = json.loads(str(arrays["text"])) | {"version": version, "basis": basis}
+    np.savez(path, **arrays | {"text": json.dumps(text)})
+
+
+def test_skills_of_the_first_version_which_name_no_kind_of_basis_are_still_read(tmp_path):
+    Skill(distribution(), 2.5).save(tmp_path / "skill.npz")
+    rewritten(tmp_path / "skill.npz", 1, {"count": 10, "gamma": 40.0})
+    assert Skill.load(tmp_path / "skill.npz").distribution.basis == SquaredExponential(10, 40.0)
+
+
+@pytest.mark.parametrize("version, basis, wrong", [(2, {"kind": "Wavelet", "count": 10}, "'Wavelet', known are Squared"),
+                                                   (2, {"kind": "Periodic", "gamma": 50.0}, "gamma"),
+                                                   (3, {"count": 10, "gamma": 50.0}, "version 3")])  # fmt: skip
+def test_a_skill_of_an_unknown_basis_or_version_is_refused_in_a_line(tmp_path, version, basis, wrong):
+    Skill(distribution(), 2.5).save(tmp_path / "skill.npz")
+    rewritten(tmp_path / "skill.npz", version, basis)
+    with pytest.raises(ValueError, match=f"not a skill file .*{wrong}") as error:
+        Skill.load(tmp_path / "skill.npz")
+    assert "\n" not in str(error.value)
