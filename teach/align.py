@@ -48,7 +48,7 @@ def common_times(sketches: Sequence[Sketch], time: str) -> list[list[np.ndarray]
     if time == "drawn":
         return [[drawn(stroke) for stroke in sketch.motions] for sketch in sketches]
     along = [[arc_length(stroke) for stroke in sketch.motions] for sketch in sketches]
-    if time == "arc_length":
+    if time == "arc_length" or len(sketches) == 1:  # one view has none to be aligned with
         return along
     s, t = np.linspace(0, 1, COUNT), view_times(sketches, along)
     return [[np.interp(stroke, s, t_view) for stroke in view] for view, t_view in zip(along, t, strict=True)]

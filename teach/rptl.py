@@ -5,7 +5,7 @@
 """
 
 import time as clock
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import contextmanager
 from itertools import combinations
 
@@ -15,10 +15,13 @@ import torch
 from scene.camera import Camera
 from teach.align import common_times, resample
 from teach.basis import SquaredExponential
+from teach.contact import CONTACT, contacts, touch
+from teach.contact import warnings as contact_warnings
 from teach.density import Flow
 from teach.likelihood import fit_coherent, fit_diagonal, fit_mean, hand_prior, moments_over_time
 from teach.raytrace import Algorithm1, Intersections
 from teach.sketch import Event, Sketch, SketchError, check, ray_angle
+from teach.surface import fit_surface
 from teach.trajectory import Skill, TrajectoryDistribution
 
 POINTS = 100
@@ -36,6 +39,8 @@ def fit(
     covariance: str = "coherent",
     smoothness: float = 1e-8,
     strength: float = 20.0,
+    depths: Mapping[str, np.ndarray] | None = None,
+    offset: float = 0.0,
 ) -> Skill:
     """Learn the motion that the sketches draw.
 
@@ -43,26 +48,37 @@ def fit(
     is common to strokes: "aligned" (epipolar geometry), "arc_length" or the "drawn" time of each, normalised.
     covariance: "coherent" (full, of whole strokes) or "diagonal" (the paper's independent weights). smoothness: penalty
     of the mean's integrated squared acceleration, against its squared error. strength: number of strokes that the
-    coherent covariance's prior is worth. Raises SketchError.
+    coherent covariance's prior is worth. depths: for names of views their depth pictures (h, w) [m along the optical
+    axis, nan where nothing is seen]: strokes touch the surface where they have an event "contact", and a motion drawn on
+    one view alone is laid on the surface seen there, ``offset`` [m] off it. Raises SketchError.
     """
     started = clock.perf_counter()
     density, raytrace, basis = density or Flow(), raytrace or Algorithm1(), basis or SquaredExponential()
     if covariance not in ("coherent", "diagonal"):
         raise ValueError(f"covariance is 'coherent' or 'diagonal', not {covariance!r}")
-    check(sketches)
+    depths = depths or {}
+    check(sketches, surfaces=depths)
     drawn = [sketch for sketch in sketches if sketch.motions]
-    cameras = [sketch.camera for sketch in drawn]
     times = common_times(drawn, time)
-    strokes, densities = view_densities(drawn, times, density, seed=seed)
-    with _one_thread():
-        pairs = combinations(zip(densities, cameras, strict=True), 2)
-        met = [raytrace((p_a, p_b), (camera_a, camera_b), seed=seed) for (p_a, camera_a), (p_b, camera_b) in pairs]
-    mean, grid, variance = _mean(basis, met, smoothness)
-    if covariance == "diagonal":
-        S = np.diag(fit_diagonal(basis, grid, variance).ravel())
+    if len(drawn) == 1:
+        how = {"offset": offset, "covariance": covariance, "smoothness": smoothness, "strength": strength}
+        mean, S, report = fit_surface(drawn[0], depths[drawn[0].view], times[0], basis, count=POINTS, **how)
     else:
-        S = fit_coherent(_observations(basis, mean, strokes, cameras), hand_prior(basis, mean, smoothness), strength)
-    report = _report(drawn, strokes, densities, met, basis, mean)
+        cameras = [sketch.camera for sketch in drawn]
+        strokes, densities = view_densities(drawn, times, density, seed=seed)
+        with _one_thread():
+            pairs = combinations(zip(densities, cameras, strict=True), 2)
+            met = [raytrace((p_a, p_b), (camera_a, camera_b), seed=seed) for (p_a, camera_a), (p_b, camera_b) in pairs]
+        mean, grid, variance = _mean(basis, met, smoothness)
+        if covariance == "diagonal":
+            S = np.diag(fit_diagonal(basis, grid, variance).ravel())
+        else:
+            S = fit_coherent(_observations(basis, mean, strokes, cameras), hand_prior(basis, mean, smoothness), strength)
+        report = _report(drawn, strokes, densities, met, basis, mean)
+    touched = contacts(drawn, times, depths)
+    distribution = touch(TrajectoryDistribution(basis, mean, S), touched)
+    report["contacts"] = [contact.plain() for contact in touched]
+    report["warnings"] += contact_warnings(drawn, touched, depths)
     report["seconds"] = clock.perf_counter() - started
     duration = max(float(np.median([stroke.duration for sketch in drawn for stroke in sketch.motions])), 0.1)
     keep_out = tuple(
@@ -70,8 +86,9 @@ def fit(
         for sketch in sketches
         if (outlines := tuple(stroke for stroke in sketch.strokes if stroke.kind == "keep_out"))
     )
-    events = _events(drawn, times, duration)
-    return Skill(TrajectoryDistribution(basis, mean, S), duration, events, None, keep_out, report)
+    events = tuple(event for event in _events(drawn, times, duration) if not (touched and event.name == CONTACT))
+    events += tuple(Event(CONTACT, duration * contact.time) for contact in touched)
+    return Skill(distribution, duration, events, None, keep_out, report)
 
 
 def view_densities(drawn: Sequence[Sketch], times, density, *, seed: int = 0) -> tuple[list, list]:
