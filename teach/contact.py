@@ -30,7 +30,10 @@ FAR = 0.03
 
 @dataclass(frozen=True, eq=False)
 class Contact:
-    """A via point on the surface. time: in [0, 1]. point: (3,) [m]. covariance: (3, 3) [m^2]. views: their points (3,) [m]."""
+    """A via point on the surface.
+
+    time: in [0, 1]. point: (3,) [m]. covariance: (3, 3) [m^2]. views: the points (3,) [m] that each of them shows.
+    """
 
     time: float
     point: np.ndarray
@@ -71,15 +74,19 @@ def contacts(drawn: Sequence[Sketch], times, depths: Mapping[str, np.ndarray]) -
 
 def warnings(drawn: Sequence[Sketch], found: Sequence[Contact], depths: Mapping[str, np.ndarray]) -> list[str]:
     """Sentences on contacts that are not brought to a surface, and on views that do not agree where one is."""
-    blind = [s.view for s in drawn if s.view not in depths and any(e.name == CONTACT for m in s.motions for e in m.events)]
-    sentences = [f"Contacts marked on view {view} are not brought to the surface: its depth picture is missing." for view in blind]
+    marked = [s.view for s in drawn if any(event.name == CONTACT for stroke in s.motions for event in stroke.events)]
+    sentences = [
+        f"Contacts marked on view {view} are not brought to the surface: its depth picture is missing."
+        for view in marked
+        if view not in depths
+    ]
     for contact in found:
         points = np.stack(list(contact.views.values()))
-        gap, cameras = np.linalg.norm(points - points[0], axis=1).max(), [s.camera for s in drawn if s.view in contact.views]
-        if gap > FAR * min(camera.depth(contact.point) for camera in cameras):
+        gap = np.linalg.norm(points - points[0], axis=1).max()
+        if gap > FAR * min(s.camera.depth(contact.point) for s in drawn if s.view in contact.views):
             sentences.append(
-                f"The contact at {contact.time:.0%} of the motion lies {100 * gap:.0f} cm apart on the surfaces that views "
-                f"{', '.join(contact.views)} show; mark it where both see the same thing."
+                f"The contact at {contact.time:.0%} of the motion lies {100 * gap:.0f} cm apart on the surfaces that "
+                f"views {', '.join(contact.views)} show; mark it where both see the same thing."
             )
     return sentences
 
@@ -103,9 +110,9 @@ def _marks(drawn, times, depths) -> list[tuple[float, str, np.ndarray]]:
 def _contact(group, cameras: Mapping[str, Camera], depths) -> Contact:
     """One contact from the marks that all views made of it."""
     views = sorted({view for _, view, _ in group})
-    points, covariances = zip(
-        *(_touched(view, cameras[view], depths[view], np.stack([p for _, v, p in group if v == view])) for view in views), strict=True
-    )
+    pixels = [np.stack([p for _, v, p in group if v == view]) for view in views]
+    touched = [_touched(view, cameras[view], depths[view], p) for view, p in zip(views, pixels, strict=True)]
+    points, covariances = zip(*touched, strict=True)
     information = np.linalg.inv(covariances)
     covariance = np.linalg.inv(information.sum(axis=0))
     point = covariance @ np.einsum("vab,vb->a", information, points)
@@ -118,8 +125,8 @@ def _touched(view: str, camera: Camera, depth, pixels) -> tuple[np.ndarray, np.n
     points, normals, seen = surface_points(camera, depth, mean[None])
     if not seen[0]:
         raise SketchError(
-            f"the contact marked on view {view!r} (pixel {mean[0]:.0f}, {mean[1]:.0f}) has no surface in its depth picture: "
-            "mark it on a surface that is seen there"
+            f"the contact marked on view {view!r} (pixel {mean[0]:.0f}, {mean[1]:.0f}) has no surface in its depth "
+            "picture: mark it on a surface that is seen there"
         )
     drawn = ((pixels - mean) ** 2).sum() / (2 * (n - 1)) if n > 1 else (HAND * camera.width) ** 2
     back = camera.world_from_camera[:3, :3] @ np.linalg.inv(camera.K)

@@ -20,16 +20,16 @@ WINDOW = 0.02
 SAME = 0.015
 """Pixels are of one surface if their depth differs by less than this share from that of its plane."""
 ERROR = 0.002
-"""Standard deviation of a surface's depth, as a share of it: what a field of photographs leaves after a plane is fitted."""
+"""Standard deviation of a surface's depth, as a share of it: what a field of photographs has in the mean of a window."""
 ENOUGH = 0.2
 """A pixel is seen if this share of its window has a depth: small holes are filled by the plane around them."""
 
 
 def surface_points(camera: Camera, depth, pixels) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Points (N, 3) [m] of the surface at pixels (N, 2), its unit normals (N, 3) there towards the camera, which are seen (N,).
+    """The surface's points (N, 3) [m] at pixels (N, 2), unit normals (N, 3) there towards the camera, which are seen (N,).
 
-    camera: of the picture in whose pixels the points are given. depth: (h, w) [m], of the same picture at any
-    resolution. Points and normals are nan where the surface is unseen. Raises SketchError for another picture's depth.
+    camera: of the picture that the pixels are of. depth: (h, w) [m], of the same picture at any resolution. Points and
+    normals are nan where the surface is unseen. Raises SketchError for another picture's depth.
     """
     pixels = np.asarray(pixels, dtype=float)
     small = _camera_of(camera, depth)
@@ -53,25 +53,25 @@ def _camera_of(camera: Camera, depth) -> Camera:
     shape = np.shape(depth)
     if len(shape) != 2 or min(shape) < 2 or abs(shape[0] - shape[1] * camera.height / camera.width) > 1:
         raise SketchError(
-            f"a depth picture of {' x '.join(map(str, shape))} does not show a view of {camera.height} x {camera.width} "
-            "(rows x columns): give the depth of that view, at its size or a constant factor of it"
+            f"a depth picture of {' x '.join(map(str, shape))} does not show a view of {camera.height} x {camera.width}"
+            " (rows x columns): give the depth of that view, at its size or a constant factor of it"
         )
     return camera.resized(shape[1], shape[0])
 
 
 def _windows(depth, centres, radius: int) -> tuple[np.ndarray, np.ndarray]:
-    """Inverse depth (N, P) of the pixels around centres (N, 2) [px], 0 where unseen, and their places (N, P, 3): (1, u, v)
-    with u and v from the centre in units of the radius."""
+    """Inverse depth (N, P) of the pixels around centres (N, 2) [px], 0 where unseen, and their places (N, P, 3):
+    (1, u, v) with u and v from the centre in units of the radius."""
     h, w = depth.shape
     steps = np.arange(-radius, radius + 1, -(-radius // 13))  # at most 27 x 27 pixels of a large picture
     dv, du = (d.ravel() for d in np.meshgrid(steps, steps, indexing="ij"))
-    column, row = (np.clip(np.floor(centres[:, i]), -radius, n + radius).astype(int)[:, None] for i, n in ((0, w), (1, h)))
-    u, v = column + du, row + dv
+    middle = np.floor(centres.clip(-radius, [w + radius, h + radius])).astype(int)
+    u, v = middle[:, [0]] + du, middle[:, [1]] + dv
     inside = (u >= 0) & (u < w) & (v >= 0) & (v < h)
     z = np.where(inside, depth[v.clip(0, h - 1), u.clip(0, w - 1)], np.nan)
     q = np.where(np.isfinite(z) & (z > 0), 1 / np.where(z > 0, z, 1), 0)
-    places = np.stack([np.ones_like(u, dtype=float), *((x + 0.5 - centres[:, [i]]) / radius for i, x in enumerate((u, v)))], axis=-1)
-    return q, places
+    away = (np.stack([u, v], axis=-1) + 0.5 - centres[:, None]) / radius
+    return q, np.concatenate([np.ones_like(away[..., :1]), away], axis=-1)
 
 
 def _planes(q, places) -> np.ndarray:
@@ -97,7 +97,7 @@ def _quarters(places) -> list[np.ndarray]:
 
 
 def _fitted(q, places, weights) -> np.ndarray:
-    """Least squares (N, 3), relative to depth so that far pixels count as near ones; a ridge at the level of roundoff."""
+    """Least squares (N, 3), with a ridge at the level of roundoff."""
     weighted = places * weights[..., None]
     A = np.swapaxes(weighted, 1, 2) @ places + 1e-12 * np.eye(3)
     return np.linalg.solve(A, (np.swapaxes(weighted, 1, 2) @ q[..., None]))[..., 0]
@@ -114,7 +114,7 @@ def _same(q, places, coefficients) -> np.ndarray:
 
 
 def _bulge(q, places, coefficients) -> np.ndarray:
-    """How far (N,) [1/m] a curved surface is from its plane in the middle of the window; 0 where the middle is unseen."""
+    """How far (N,) [1/m] a curved surface is from its plane in the window's middle; 0 where the middle is unseen."""
     weights = _centrality(places, 0.2) * _same(q, places, coefficients)
     return ((q - _values(places, coefficients)) * weights).sum(axis=1) / (1e-3 + weights.sum(axis=1))
 

@@ -48,9 +48,9 @@ def fit(
     is common to strokes: "aligned" (epipolar geometry), "arc_length" or the "drawn" time of each, normalised.
     covariance: "coherent" (full, of whole strokes) or "diagonal" (the paper's independent weights). smoothness: penalty
     of the mean's integrated squared acceleration, against its squared error. strength: number of strokes that the
-    coherent covariance's prior is worth. depths: for names of views their depth pictures (h, w) [m along the optical
-    axis, nan where nothing is seen]: strokes touch the surface where they have an event "contact", and a motion drawn on
-    one view alone is laid on the surface seen there, ``offset`` [m] off it. Raises SketchError.
+    coherent covariance's prior is worth. depths: by view, depth pictures (h, w) [m along the optical axis, nan
+    where nothing is seen]: strokes touch the surface where they have an event "contact", and a motion drawn on one view
+    alone is laid on the surface seen there, ``offset`` [m] off it. Raises SketchError.
     """
     started = clock.perf_counter()
     density, raytrace, basis = density or Flow(), raytrace or Algorithm1(), basis or SquaredExponential()
@@ -73,7 +73,8 @@ def fit(
         if covariance == "diagonal":
             S = np.diag(fit_diagonal(basis, grid, variance).ravel())
         else:
-            S = fit_coherent(_observations(basis, mean, strokes, cameras), hand_prior(basis, mean, smoothness), strength)
+            prior = hand_prior(basis, mean, smoothness)
+            S = fit_coherent(_observations(basis, mean, strokes, cameras), prior, strength)
         report = _report(drawn, strokes, densities, met, basis, mean)
     touched = contacts(drawn, times, depths)
     distribution = touch(TrajectoryDistribution(basis, mean, S), touched)

@@ -39,12 +39,22 @@ class Lifted:
 
 
 def fit_surface(
-    sketch: Sketch, depth, times, basis, *, count: int, offset: float, covariance: str, smoothness: float, strength: float
+    sketch: Sketch,
+    depth,
+    times,
+    basis,
+    *,
+    count: int,
+    offset: float,
+    covariance: str,
+    smoothness: float,
+    strength: float,
 ) -> tuple[np.ndarray, np.ndarray, dict]:
     """Mean (M, 3) [m] and covariance (3M, 3M) [m^2] of the weights, and the report of the motion drawn on one view.
 
-    depth: (h, w) [m] of the view's picture. times: of its motion strokes' points, from align.common_times. count: points
-    by which a stroke is represented. The rest as teach.rptl.fit has it. Raises SketchError where the surface is unseen.
+    depth: (h, w) [m] of the view's picture. times: of its motion strokes' points, from align.common_times. count:
+    points by which a stroke is represented. The rest as teach.rptl.fit has it. Raises SketchError where the surface is
+    unseen.
     """
     if not np.isfinite(offset):
         raise ValueError(f"offset is a distance [m] from the surface, not {offset}")
@@ -55,7 +65,8 @@ def fit_surface(
         squares = ((lifted.points - basis(t) @ mean) ** 2).mean(axis=0)
         S = np.diag(fit_diagonal(basis, t, squares).ravel())
     else:
-        H, residuals = 1000 * np.kron(basis(t), np.eye(3)), 1000 * (lifted.points - centre)  # a mm counts as a pixel does
+        # In millimetres, which count as pixels do where the likelihood was made for them.
+        H, residuals = 1000 * np.kron(basis(t), np.eye(3)), 1000 * (lifted.points - centre)
         prior = _in_surface(hand_prior(basis, mean, smoothness), basis, t, lifted.normals.sum(axis=0), smoothness)
         S = fit_coherent([(H, residuals.reshape(len(residuals), -1))], prior, strength)
     S = S + _depth_covariance(basis, t, sketch.camera.depth(centre).mean(), smoothness)
@@ -63,7 +74,7 @@ def fit_surface(
 
 
 def lift(sketch: Sketch, depth, times, count: int, offset: float = 0.0) -> Lifted:
-    """The motion strokes of a view at ``count`` even common times, laid ``offset`` [m] along the normal off its surface.
+    """The motion strokes of a view at ``count`` even common times, ``offset`` [m] along the normals off its surface.
 
     depth: (h, w) [m], of the view's picture at any resolution. times: of each stroke's points, from align.common_times.
     Raises SketchError where the surface is unseen.
@@ -134,7 +145,7 @@ def _repeated_medians(windows) -> np.ndarray:
 
 
 def _in_surface(S, basis, t, normals, smoothness: float) -> np.ndarray:
-    """The covariance S (3M, 3M) of the deviations without their part along the normals (T, 3), of any length, at times t.
+    """The covariance S (3M, 3M) of deviations without their part along normals (T, 3), of any length, at times t.
 
     A deviation w has the positions Psi^T w; its tangential part (I - n n^T) Psi^T w is taken back to weights.
     """
@@ -167,11 +178,11 @@ def _warnings(view: str, lifted: Lifted, offset: float) -> list[str]:
     where = f"{1000 * offset:.0f} mm off" if offset else "on"
     warnings = [f"The motion is drawn on view {view} alone and runs {where} the surface that its depth picture shows."]
     if (most := lifted.bridged.max()) > 0.05:
-        warnings.append(f"Up to {most:.0%} of a stroke on view {view} has no surface, or a thing in front; it is bridged there.")
+        warnings.append(f"Up to {most:.0%} of a stroke on view {view} has no surface or something in front; it is bridged.")
     if (jump := lifted.jumps.max()) > 0:
         warnings.append(
-            f"The surface under the strokes on view {view} jumps by {100 * jump:.0f} cm at an object's edge and the motion "
-            "with it; draw around the object, or on two views."
+            f"The surface under the strokes on view {view} jumps by {100 * jump:.0f} cm at an object's edge and the "
+            "motion with it; draw around the object, or on two views."
         )
     if len(lifted.points) < 2:
         warnings.append(f"View {view} has one stroke: how far the motion may vary is a guess; draw three.")
