@@ -106,7 +106,7 @@ def render(field, cameras: dict[str, Camera], folder: Path, progress=None, *, de
 def load_depths(folder: Path, cameras: dict[str, Camera]) -> dict[str, np.ndarray]:
     """Depth pictures (h, w) float32 [m along the optical axis, nan where nothing is hit] of named views in ``folder``.
 
-    Those that were rendered, by a camera that stands and looks as the named one does (a photograph of that name may not).
+    Those that were rendered by a camera like the named one: a photograph of that name stands elsewhere.
     """
     if not (Path(folder) / "transforms.json").is_file():
         return {}

@@ -20,13 +20,13 @@ WINDOW = 0.02
 SAME = 0.015
 """Pixels are of one surface if their depth differs by less than this share from that of its plane."""
 ERROR = 0.002
-"""Standard deviation of a surface's depth, as a share of it: what a field of photographs has in the mean of a window."""
+"""Standard deviation of a surface's depth, as a share of it: what a field of photographs has over a window."""
 ENOUGH = 0.2
 """A pixel is seen if this share of its window has a depth: small holes are filled by the plane around them."""
 
 
 def surface_points(camera: Camera, depth, pixels) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The surface's points (N, 3) [m] at pixels (N, 2), unit normals (N, 3) there towards the camera, which are seen (N,).
+    """The surface's points (N, 3) [m] at pixels (N, 2), unit normals (N, 3) towards the camera, which are seen (N,).
 
     camera: of the picture that the pixels are of. depth: (h, w) [m], of the same picture at any resolution. Points and
     normals are nan where the surface is unseen. Raises SketchError for another picture's depth.

@@ -19,7 +19,7 @@ from teach.sketch import Sketch, SketchError
 
 UNSEEN = 0.1
 """A stroke of which more than this share has no surface is refused."""
-SIDE = 0.16
+SIDE = 0.22
 """Share of a stroke on each side with which a point is compared; what jumps for less than half of it is bridged."""
 
 
@@ -178,7 +178,7 @@ def _warnings(view: str, lifted: Lifted, offset: float) -> list[str]:
     where = f"{1000 * offset:.0f} mm off" if offset else "on"
     warnings = [f"The motion is drawn on view {view} alone and runs {where} the surface that its depth picture shows."]
     if (most := lifted.bridged.max()) > 0.05:
-        warnings.append(f"Up to {most:.0%} of a stroke on view {view} has no surface or something in front; it is bridged.")
+        warnings.append(f"Up to {most:.0%} of a stroke on view {view} has no surface or a thing in front: bridged.")
     if (jump := lifted.jumps.max()) > 0:
         warnings.append(
             f"The surface under the strokes on view {view} jumps by {100 * jump:.0f} cm at an object's edge and the "
