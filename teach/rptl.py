@@ -80,6 +80,8 @@ def fit(
     distribution = touch(TrajectoryDistribution(basis, mean, S), touched)
     report["contacts"] = [contact.plain() for contact in touched]
     report["warnings"] += contact_warnings(drawn, touched, depths)
+    if offset and len(drawn) > 1:
+        report["warnings"].append("The offset is not used: it is for a motion drawn on one view, along a surface.")
     report["seconds"] = clock.perf_counter() - started
     duration = max(float(np.median([stroke.duration for sketch in drawn for stroke in sketch.motions])), 0.1)
     keep_out = tuple(

@@ -19,6 +19,8 @@ from teach.sketch import Sketch, SketchError
 
 UNSEEN = 0.1
 """A stroke of which more than this share has no surface is refused."""
+ROUGH = 0.3
+"""So is one where more than this share is unseen or jumps."""
 SIDE = 0.22
 """Share of a stroke on each side with which a point is compared; what jumps for less than half of it is bridged."""
 
@@ -89,16 +91,12 @@ def _laid(sketch: Sketch, depth, pixels, number: int) -> tuple[np.ndarray, np.nd
     """Points and normals (T, 3) of one stroke, pixels (T, 2), the share of it that is bridged, the largest jump [m]."""
     camera = sketch.camera
     points, normals, seen = surface_points(camera, depth, pixels)
-    if (unseen := 1 - seen.mean()) > UNSEEN:
-        u, v = np.median(pixels[~seen], axis=0)
-        raise SketchError(
-            f"stroke {number} on view {sketch.view!r} has no surface under {unseen:.0%} of it (around pixel {u:.0f}, "
-            f"{v:.0f}): draw it where the depth picture shows a surface, or sketch the motion on a second view"
-        )
+    _require(seen, UNSEEN, pixels, f"stroke {number} on view {sketch.view!r} has no surface")
     k = np.arange(len(pixels))
     q = np.interp(k, k[seen], 1 / camera.depth(points[seen]))
     rest, trend = _detrended(q, pixels)
     kept = seen & ~_spikes(rest, SAME * q)
+    _require(kept, ROUGH, pixels, f"stroke {number} on view {sketch.view!r} has no smooth surface")
     rest = np.interp(k, k[kept], rest[kept])
     normals = np.stack([np.interp(k, k[kept], normals[kept, axis]) for axis in range(3)], axis=1)
     origins, directions = camera.rays(pixels)
@@ -106,6 +104,16 @@ def _laid(sketch: Sketch, depth, pixels, number: int) -> tuple[np.ndarray, np.nd
     jump = np.abs(np.diff(rest)) > SAME * q[1:]
     jumps = np.linalg.norm(np.diff(points, axis=0), axis=1)[jump]
     return points, normals / np.linalg.norm(normals, axis=1, keepdims=True), 1 - kept.mean(), jumps.max(initial=0.0)
+
+
+def _require(good, share: float, pixels, what: str) -> None:
+    """Raise SketchError where more than this share of a stroke's pixels (T, 2) are not good (T,)."""
+    if (bad := 1 - good.mean()) > share:
+        u, v = np.median(pixels[~good], axis=0)
+        raise SketchError(
+            f"{what} under {bad:.0%} of it (around pixel {u:.0f}, {v:.0f}): draw it where the depth picture shows a "
+            "surface, or sketch the motion on a second view"
+        )
 
 
 def _detrended(q, pixels, steps: int = 30) -> tuple[np.ndarray, np.ndarray]:

@@ -211,6 +211,11 @@ def test_contacts_end_the_motion_on_the_surface_though_the_strokes_ends_are_nois
     assert contact["views"] == ["v0", "v1"] and free.report["contacts"] == []
 
 
+def test_an_offset_that_cannot_be_used_is_told():
+    warnings = fit(approaching(), density=Flow(steps=20), offset=0.02).report["warnings"]
+    assert any("offset is not used" in sentence for sentence in warnings)
+
+
 def test_contacts_without_a_depth_picture_remain_events_and_are_told():
     skill = fit(approaching(Event("contact", 3.0)), density=Flow(steps=20))
     assert [event.name for event in skill.events] == ["contact"] and skill.report["contacts"] == []

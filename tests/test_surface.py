@@ -188,6 +188,12 @@ def test_a_stroke_that_leaves_the_picture_is_refused():
         laid(sketch(straight() * [1, 4, 1]), plane(UP))
 
 
+def test_a_surface_that_is_all_jumps_is_refused():
+    drawn, columns = sketch(straight()), CAMERA.pixel_centres()[..., 0]
+    with pytest.raises(SketchError, match="no smooth surface under"):
+        laid(drawn, np.where(columns % 24 < 12, plane(UP), 0.5 * plane(UP)) * (1 + 0.03 * (columns // 7 % 3)))
+
+
 def test_a_box_on_the_table_is_climbed_and_its_far_edge_reported():
     depth = plane(UP)
     height = np.where(np.isfinite(plane(UP, 0.1)), plane(UP, 0.1), np.inf)
