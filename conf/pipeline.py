@@ -107,14 +107,14 @@ def render(job: Job, out: Path) -> dict:
     chosen = _setting(job, "scene.views")(photographed, None if job.cfg.photos else job.settings("world.sketch_views"))
     views = render(field, chosen.sketch, out / "views", partial(_progress, title="views"))
     save_views(out / "views", views, images=".", frame=load_frame(job.capture))
-    frames = render(field, chosen.orbit, out / "views" / "orbit", partial(_progress, title="orbit"))
+    frames = render(field, chosen.orbit, out / "views" / "orbit", partial(_progress, title="orbit"), depth=False)
     if frames:
         save_video(out / "views" / "orbit.mp4", [frame.image for frame in frames], fps=8)
     return {"views": len(views), "orbit": len(frames)}
 
 
 def sketch(job: Job, out: Path) -> dict:
-    """A person, or the scripted one, draws the motion on two views; on a third for evaluation only."""
+    """A person, or the scripted one, draws the motion on two views, or one along a surface; on a third for evaluation only."""
     import numpy as np
 
     from teach import sketch as sketch_files
@@ -127,7 +127,7 @@ def sketch(job: Job, out: Path) -> dict:
 
         drawn, paths = draw(job, [*SKETCHED, HELD_OUT])
         sketches, held_out, intended = drawn[:-1], drawn[-1:], {"training": paths[:-1], "held_out": paths[-1]}
-    sketch_files.check(sketches)
+    sketch_files.check(sketches, surfaces=_depths(job, sketches))
     sketch_files.save(out / "sketches.json", sketches)
     sketch_files.save(out / "held_out.json", held_out)
     np.savez(out / "intended.npz", **intended)
@@ -149,7 +149,7 @@ def fit(job: Job, out: Path) -> dict:
 
     sketches = sketch_files.load(job.run / "sketches.json")
     parts = {part: _setting(job, f"teach.{part}") for part in ("density", "raytrace", "basis")}
-    skill = _setting(job, "teach.rptl")(sketches, seed=job.cfg.seed, **parts)
+    skill = _setting(job, "teach.rptl")(sketches, seed=job.cfg.seed, depths=_depths(job, sketches), **parts)
     skill.save(out / "skill.npz")
     drawn = [sketch for sketch in unrolled(sketches, job.cfg.teach.rptl.periodic)[0] if sketch.motions]
     _, densities = view_densities(drawn, common_times(drawn, job.cfg.teach.rptl.time), parts["density"], seed=job.cfg.seed)
@@ -325,6 +325,13 @@ def _stored_sketches(job: Job) -> Path:
     """user.file: a name in the capture's sketches folder, or a path."""
     named = job.capture / "sketches" / f"{job.cfg.user.file}.json"
     return named if named.exists() else Path(job.cfg.user.file)
+
+
+def _depths(job: Job, sketches) -> dict:
+    """Depth pictures of the sketched views, by name, as far as they were rendered."""
+    from scene.views import load_depths
+
+    return load_depths(job.capture / "views", {sketch.view: sketch.camera for sketch in sketches})
 
 
 def _plain_camera(camera) -> dict:

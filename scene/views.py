@@ -7,7 +7,8 @@ import numpy as np
 
 from scene.camera import Camera, View, look_at
 from scene.camera import orbit as circle
-from scene.dataset import load_image, save_image
+from scene.dataset import load_image, load_views, save_image
+from scene.files import replacing
 
 MOST_GAP_DEG = 60.0  # an orbit does not cross an arc wider than this that nobody photographed
 
@@ -83,21 +84,46 @@ def given(eyes: list[dict], *, width=640, height=480) -> list[Camera]:
     return [Camera.from_fov(look_at(v["eye"], v["target"]), width, height, v["fov_deg"]) for v in eyes]
 
 
-def render(field, cameras: dict[str, Camera], folder: Path, progress=None) -> list[View]:
-    """Render every named camera: ``<name>.png`` and ``<name>_depth.npy`` (float32 m along z, nan where nothing is).
+def render(field, cameras: dict[str, Camera], folder: Path, progress=None, *, depth: bool = True) -> list[View]:
+    """Render every named camera: ``<name>.png`` and, with ``depth``, ``<name>_depth.npy`` (see ``load_depths``).
 
-    A picture that is already there is read, not rendered: a killed job goes on.
+    What is already there whole is read, not rendered: a killed job goes on.
     """
     folder.mkdir(parents=True, exist_ok=True)
     views = []
     for name, camera in (progress or iter)(cameras.items()):
-        picture = folder / f"{name}.png"
-        if not picture.exists():
-            image, depth = field.render(camera)
-            np.save(folder / f"{name}_depth.npy", depth)
+        picture, beside = folder / f"{name}.png", _depth_path(folder, name)
+        if not (picture.exists() and (beside.exists() or not depth)):
+            image, metres = field.render(camera)
             save_image(picture, image)
+            if depth:
+                with replacing(beside) as temporary:
+                    np.save(temporary, metres.astype(np.float32))
         views.append(View(name, camera, load_image(picture)))
     return views
+
+
+def load_depths(folder: Path, cameras: dict[str, Camera]) -> dict[str, np.ndarray]:
+    """Depth pictures (h, w) float32 [m along the optical axis, nan where nothing is hit] of named views in ``folder``.
+
+    Those that were rendered by a camera like the named one: a photograph of that name stands elsewhere.
+    """
+    if not (Path(folder) / "transforms.json").is_file():
+        return {}
+    rendered = {view.name: view.camera for view in load_views(folder)}
+    same = [name for name, camera in cameras.items() if name in rendered and _same_view(camera, rendered[name])]
+    paths = {name: _depth_path(folder, name) for name in same}
+    return {name: np.load(path, allow_pickle=False) for name, path in paths.items() if path.is_file()}
+
+
+def _depth_path(folder: Path, name: str) -> Path:
+    return Path(folder) / f"{name}_depth.npy"
+
+
+def _same_view(a: Camera, b: Camera) -> bool:
+    """Whether two cameras show the same picture, at whatever size."""
+    a = a.resized(b.width, b.height)
+    return np.allclose(a.K, b.K, atol=0.5) and np.allclose(a.world_from_camera, b.world_from_camera, atol=1e-4)
 
 
 def _cropped(camera: Camera, width: int, height: int) -> Camera:

@@ -12,7 +12,7 @@ What it does not name is refused: a file is understood whole, or the error gives
 """
 
 import json
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
@@ -135,17 +135,26 @@ class Sketch:
         return tuple(stroke for stroke in self.strokes if stroke.kind == "keep_out")
 
 
-def check(sketches: Sequence[Sketch]) -> None:
-    """Raise SketchError unless the motion is drawn on at least two views whose rays cross well."""
+def check(sketches: Sequence[Sketch], surfaces: Collection[str] = ()) -> None:
+    """Raise SketchError unless the motion is drawn on at least two views whose rays cross well, or on one of ``surfaces``.
+
+    surfaces: names of the views whose depth picture is known, so that a motion may lie on the surface seen there.
+    """
     drawn = [sketch for sketch in sketches if sketch.motions]
     for sketch in drawn:
         for number, stroke in enumerate(sketch.motions):
             if stroke.length <= 0:
                 raise SketchError(f"stroke {number} on view {sketch.view!r} does not move: remove it or draw it again")
     names = sorted({sketch.view for sketch in drawn})
-    if len(drawn) < 2:
-        where = f"only on view {names[0]!r}" if names else "on no view"
-        raise SketchError(f"the motion is drawn {where}: depth needs strokes on two views from different sides")
+    if not drawn:
+        raise SketchError("the motion is drawn on no view: depth needs strokes on two views from different sides")
+    if len(drawn) == 1 and names[0] in surfaces:
+        return
+    if len(drawn) == 1:
+        raise SketchError(
+            f"the motion is drawn only on view {names[0]!r}: depth needs strokes on two views from different sides, or a "
+            "depth picture of that view, which would let the motion be laid on the surface seen there"
+        )
     if len(names) < len(drawn):
         raise SketchError(f"{len(drawn)} sketches share the views {names}: put all strokes of a view in one sketch")
     pairs = [(ray_angle(a, b), a, b) for a, b in combinations(drawn, 2)]

@@ -11,6 +11,10 @@ import numpy as np
 import pytest
 from playwright.sync_api import sync_playwright
 
+from scene.dataset import load_views
+from teach.sketch import Sketch, Stroke, save
+from teach.trajectory import Skill
+
 COMMAND = Path(sys.executable).with_name("scene2skill")
 SMALL = ("world=tiny", "robot.photographs.count=16", "robot.photographs.width=480", "robot.photographs.height=360",
          "scene.fit.steps=60", "scene.views.orbit=2", "robot.planner.samples=4", "robot.execution.fps=2", "data=scene")  # fmt: skip
@@ -132,3 +136,18 @@ def test_stored_sketches_teach_the_same_skill(job):
     again = max(folder.glob("runs/default/*/0"), key=lambda path: path.stat().st_mtime)
     with np.load(run / "skill.npz") as first, np.load(again / "skill.npz") as second:
         np.testing.assert_array_equal(first["mean"], second["mean"])
+
+
+def test_strokes_on_one_view_are_laid_on_the_bench_that_the_field_shows(job):
+    folder, _, _ = job
+    view = {view.name: view for view in load_views(folder / "scene" / "views")}["view1"]
+    s = np.linspace(0, 1, 80)
+    lines = [np.stack([0.47 + 0.02 * np.sin(6 * s) + d, 0.3 * s - 0.12, 0 * s + 0.12], axis=1) for d in (0.0, 0.01)]
+    strokes = tuple(Stroke(view.camera.project(line), 3 * s) for line in lines)
+    save(folder / "wipe.json", [Sketch("view1", view.camera, strokes)])
+    printed = scene2skill(*SMALL, "user=files", "user.file=wipe.json", "teach.rptl.offset=0.03", "stages=[sketch,fit]", cwd=folder)
+    again = max(folder.glob("runs/default/*/0"), key=lambda path: path.stat().st_mtime)
+    skill = Skill.load(again / "skill.npz")
+    assert skill.report["surface"]["view"] == "view1" and "30 mm off the surface" in printed
+    height = skill.distribution.mean_at(s)[:, 2] - 0.12
+    assert abs(np.median(height) - 0.03) < 0.01 and np.abs(height - 0.03).max() < 0.03

@@ -210,6 +210,90 @@ def test_motions_drawn_once_are_periodic_only_if_asked_for(skill):
         fit(sketches(), periodic=True)
 
 
+TILT = np.array([-0.3, 0.2, 1.0]) / np.linalg.norm([-0.3, 0.2, 1.0])
+
+
+def board(camera):
+    """Depth picture of the plane with normal TILT through the target, noisy by 3 mm."""
+    origins, directions = camera.rays(camera.pixel_centres())
+    z = ((TARGET - origins) @ TILT) / (directions @ TILT) * (directions @ camera.forward)
+    return z + 0.003 * np.random.default_rng(0).standard_normal(z.shape)
+
+
+def letter(s):
+    """A letter-like line on that plane."""
+    x, y = 0.08 * np.sin(6 * s), 0.3 * s - 0.15
+    return TARGET + np.stack([x, y, -(TILT[0] * x + TILT[1] * y) / TILT[2]], axis=-1)
+
+
+def written(camera=CAMERAS[0]):
+    """The letter written three times in one view, a few millimetres beside each other."""
+    across = np.cross(TILT, [1.0, 0.0, 0.0])
+    lines = [camera.project(letter(S) + d * across * (1 - 0.5 * S[:, None])) for d in (-0.005, 0.0, 0.005)]
+    return Sketch("v0", camera, tuple(Stroke(pixels, 3 * S, k) for k, pixels in enumerate(lines)))
+
+
+@pytest.mark.parametrize("offset", [0.0, 0.05])
+def test_a_letter_written_on_one_view_is_learned_on_the_surface_or_above_it(offset):
+    skill = fit([written()], depths={"v0": board(CAMERAS[0])}, offset=offset)
+    mean = skill.distribution.mean_at(S)
+    assert furthest(mean, letter(np.linspace(0, 1, 2000)) + offset * TILT) < 0.003
+    assert np.abs((mean - TARGET) @ TILT - offset).max() < 0.002
+    assert skill.report["surface"]["offset_m"] == offset and "on view v0 alone" in skill.report["warnings"][0]
+
+
+def test_all_times_and_covariances_can_be_had_on_a_surface():
+    for choice in ({"time": "drawn"}, {"time": "arc_length"}, {"covariance": "diagonal"}):
+        skill = fit([written()], depths={"v0": board(CAMERAS[0])}, **choice)
+        assert np.abs((skill.distribution.mean_at(S) - TARGET) @ TILT).max() < 0.002
+
+
+def test_a_skill_on_a_surface_is_saved_with_its_report(tmp_path):
+    skill = fit([written()], depths={"v0": board(CAMERAS[0])})
+    skill.save(tmp_path / "skill.npz")
+    assert Skill.load(tmp_path / "skill.npz").report == skill.report
+
+
+def test_one_view_needs_its_own_depth():
+    with pytest.raises(SketchError, match="only on view 'v0'.*depth picture of that view.*surface"):
+        fit([written()])
+    with pytest.raises(SketchError, match="only on view 'v0'"):
+        fit([written()], depths={"v1": board(CAMERAS[1])})
+
+
+def approaching(*events):
+    """Two views of a motion from above down to the plane, whose strokes end 4 pixels here or there."""
+    rng, s = np.random.default_rng(1), S[:, None]
+    path = letter(0.8) + (1 - s) * [-0.15, -0.1, 0.2] + np.sin(np.pi * s) * [0.0, 0.05, 0.03]
+    return [
+        Sketch(f"v{number}", camera, tuple(
+            Stroke(camera.project(path) + s * rng.normal(0, 4, 2), 3 * S, k, events=events) for k in range(3)))
+        for number, camera in enumerate(CAMERAS[:2])
+    ]  # fmt: skip
+
+
+def test_contacts_end_the_motion_on_the_surface_though_the_strokes_ends_are_noisy():
+    depths = {f"v{number}": board(camera) for number, camera in enumerate(CAMERAS[:2])}
+    free, touching = (fit(approaching(*events), density=QUICK, depths=depths) for events in ((), (Event("contact", 3.0),)))
+    above, end = ((skill.distribution.mean_at(1.0)[0] - TARGET) @ TILT for skill in (free, touching))
+    assert abs(above) > 0.002 > abs(end)
+    assert np.linalg.norm(touching.distribution.mean_at(1.0)[0] - letter(0.8)) < 0.015
+    assert [(event.name, event.time) for event in touching.events] == [("contact", touching.duration)]
+    (contact,) = touching.report["contacts"]
+    assert contact["views"] == ["v0", "v1"] and free.report["contacts"] == []
+
+
+def test_an_offset_that_cannot_be_used_is_told():
+    warnings = fit(approaching(), density=Flow(steps=20), offset=0.02).report["warnings"]
+    assert any("offset is not used" in sentence for sentence in warnings)
+
+
+def test_contacts_without_a_depth_picture_remain_events_and_are_told():
+    skill = fit(approaching(Event("contact", 3.0)), density=Flow(steps=20))
+    assert [event.name for event in skill.events] == ["contact"] and skill.report["contacts"] == []
+    assert any("depth picture is missing" in sentence for sentence in skill.report["warnings"])
+
+
 LETTERS = Path(__file__).parents[2] / "shared" / "data" / "strokes"
 
 

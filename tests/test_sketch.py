@@ -168,6 +168,18 @@ def test_one_view_or_two_identical_ones_cannot_show_depth():
         check([a, Sketch("a", camera((-0.3, 0.8, 0.8)), a.strokes)])
 
 
+def test_one_view_is_enough_where_its_surface_is_known():
+    a = seen("a", (-0.3, -0.8, 0.8), path())
+    check([a], surfaces={"a"})
+    check([a, Sketch("b", a.camera, ())], surfaces={"a"})
+    with pytest.raises(SketchError, match="only on view 'a'.*depth picture of that view"):
+        check([a], surfaces={"b"})
+    with pytest.raises(SketchError, match="no view"):
+        check([], surfaces={"a"})
+    with pytest.raises(SketchError, match="share"):
+        check([a, a], surfaces={"a"})
+
+
 def test_rays_that_meet_behind_the_cameras_do_not_pass_the_check():
     a, b = seen("a", (-0.3, -0.8, 0.8), path()), seen("b", (-0.3, 0.8, 0.8), path())
     with pytest.raises(SketchError, match="never cross well"):

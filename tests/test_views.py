@@ -5,6 +5,7 @@ import pytest
 
 from scene import views
 from scene.camera import Camera, orbit
+from scene.dataset import save_views
 
 TARGET = np.array([0.4, -0.2, 0.3])
 
@@ -64,3 +65,24 @@ def test_rendering_writes_picture_and_depth_and_goes_on_where_it_stopped(tmp_pat
     assert (first.pictures, second.pictures) == (1, 2)
     assert [view.name for view in rendered] == list("abc") and (rendered[0].image == 7).all()
     assert np.load(tmp_path / "b_depth.npy") == pytest.approx(2.5)
+
+
+def test_a_picture_without_its_depth_is_rendered_again_and_an_orbit_has_none(tmp_path):
+    cameras, again = {"a": around(orbit(TARGET, 1, 20, 1), 32, 24)[0]}, Painter()
+    views.render(Painter(), cameras, tmp_path, depth=False)
+    assert [path.name for path in tmp_path.iterdir()] == ["a.png"]
+    views.render(again, cameras, tmp_path, depth=False)
+    assert again.pictures == 0
+    views.render(again, cameras, tmp_path)
+    assert again.pictures == 1 and sorted(path.name for path in tmp_path.iterdir()) == ["a.png", "a_depth.npy"]
+
+
+def test_depth_is_found_by_a_views_name_if_its_camera_is_the_same(tmp_path):
+    cameras = dict(zip("ab", around(orbit(TARGET, 1, 20, 3), 32, 24)))
+    assert views.load_depths(tmp_path, cameras) == {}
+    save_views(tmp_path, views.render(Painter(), cameras, tmp_path), images=".")
+    (tmp_path / "b_depth.npy").unlink()
+    found = views.load_depths(tmp_path, cameras | {"c": cameras["a"]})
+    assert list(found) == ["a"] and found["a"] == pytest.approx(2.5) and found["a"].dtype == np.float32
+    assert list(views.load_depths(tmp_path, {"a": cameras["a"].resized(64, 48)})) == ["a"]
+    assert views.load_depths(tmp_path, {"a": cameras["b"]}) == {}
