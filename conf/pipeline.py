@@ -142,19 +142,15 @@ def fit(job: Job, out: Path) -> dict:
 
     from conf.evaluation import taught_errors
     from teach import sketch as sketch_files
-    from teach.align import common_times
     from teach.density import over_picture
-    from teach.periodic import unrolled
-    from teach.rptl import view_densities
 
     sketches = sketch_files.load(job.run / "sketches.json")
     parts = {part: _setting(job, f"teach.{part}") for part in ("density", "raytrace", "basis")}
-    skill = _setting(job, "teach.rptl")(sketches, seed=job.cfg.seed, depths=_depths(job, sketches), **parts)
+    pictures = {}
+    picture = lambda sketch, p: pictures.setdefault(sketch.view, over_picture(p, (sketch.camera.width, sketch.camera.height)))
+    skill = _setting(job, "teach.rptl")(sketches, seed=job.cfg.seed, depths=_depths(job, sketches), seen=picture, **parts)
     skill.save(out / "skill.npz")
-    drawn = [sketch for sketch in unrolled(sketches, job.cfg.teach.rptl.periodic)[0] if sketch.motions]
-    _, densities = view_densities(drawn, common_times(drawn, job.cfg.teach.rptl.time), parts["density"], seed=job.cfg.seed)
-    seen = {s.view: over_picture(p, (s.camera.width, s.camera.height)) for s, p in zip(drawn, densities, strict=True)}
-    np.savez_compressed(out / "densities.npz", **seen)
+    np.savez_compressed(out / "densities.npz", **pictures)
     metrics = {"seconds": skill.report["seconds"], "reprojection_px": skill.report["reprojection_px"]}
     metrics |= taught_errors(skill, job.run, seed=job.cfg.seed)
     if "mfd" in metrics:
@@ -162,6 +158,8 @@ def fit(job: Job, out: Path) -> dict:
                  " of the picture's width", metrics)  # fmt: skip
     for name, litres in skill.report.get("keep_out", {}).items():
         log.info("  %s: %.2f litres", name, litres)
+    if "sentence" in skill.report:
+        log.info("  %s", skill.report["sentence"])
     for warning in skill.report.get("warnings", ()):
         log.warning("  note: %s", warning)
     return metrics

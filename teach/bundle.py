@@ -16,10 +16,11 @@ highest evidence (Laplace's approximation), from the best of several starts that
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
+from scipy.ndimage import gaussian_filter1d
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
 from scene.camera import Camera
@@ -35,10 +36,10 @@ STARTS = (None, 0.06, 0.12, 0.25, 0.5)
 LAG_LENGTH, LAGS, BENDS = 0.15, (0.03, 0.08, 0.16), (0.3, 0.7, 1.5, 4.0)
 """The lag's correlation length; sizes of the lag, of the arc length, and of the bend, of the curve's extent, to choose
 from."""
-TREMBLING = 0.004
-"""Deviation of what is not smooth in a mean stroke, of the drawing's extent."""
-TRUST = 4.0
-"""Number of strokes that the faults of people's letters are worth beside those of the strokes at hand."""
+TREMBLING, SMOOTHING = 0.002, 1.5
+"""Least deviation of what is not smooth in a mean stroke, of the drawing's extent; how far it is smoothed [points]."""
+EXACT = 0.1
+"""Strokes may also be drawn so much more exactly than hands do."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,15 +53,17 @@ class ViewedStroke:
 
     @classmethod
     def of(cls, camera: Camera, strokes) -> "ViewedStroke":
-        """strokes: (S, COUNT, 2) [px] at even arc lengths. Their spread scales the faults of people's letters."""
+        """strokes: (S, COUNT, 2) [px] at even arc lengths. Their spread scales the faults of people's letters, which
+        count as much as one stroke."""
         strokes = np.asarray(strokes, dtype=float)
         mean, count = strokes.mean(axis=0), len(strokes)
-        faults = hand_faults(mean)
+        smooth = _smoothed(mean)
+        faults = hand_faults(smooth)
         if count > 1:
-            freedom = TRUST * (count - 1)
             seen = ((strokes - mean) ** 2).sum() / (count - 1)
-            faults = faults * (freedom * seen / np.trace(faults, axis1=1, axis2=2).sum() + TRUST) / (freedom + TRUST)
-        return cls(camera, mean, faults / count)
+            faults = faults * ((count - 1) * seen / np.trace(faults, axis1=1, axis2=2).sum() + 1) / count
+        trembling = max(2 * ((mean - smooth) ** 2).mean(), (TREMBLING * np.ptp(smooth, axis=0).max()) ** 2)
+        return cls(camera, smooth, faults / count + trembling * np.eye(COUNT))
 
     @property
     def sigma(self) -> float:
@@ -83,7 +86,7 @@ def hand_faults(stroke) -> np.ndarray:
     u, extent = np.linspace(0, 1, len(stroke)), max(float(np.ptp(stroke, axis=0).max()), 1.0)
     arms = stroke - stroke.mean(axis=0)
     smooth = SMOOTH**2 * np.exp(-((u[:, None] - u) ** 2) / (2 * SMOOTH_LENGTH**2))
-    common = (OFFSET**2 + smooth) * extent**2 / 2 + (TREMBLING * extent) ** 2 * np.eye(len(u))
+    common = (OFFSET**2 + smooth) * extent**2 / 2
     return np.stack([common + SIZE**2 * np.outer(arm, arm) for arm in arms.T])
 
 
@@ -94,7 +97,9 @@ def adjust(views: Sequence[ViewedStroke], start=None) -> Bundle:
     best = max((solve(views, lags, LAGS[1], BENDS[2]) for lags in begin), key=lambda bundle: bundle.evidence)
     bends = {bend: solve(views, best.lags, LAGS[1], bend) for bend in BENDS}
     bend = max(bends, key=lambda bend: bends[bend].evidence)
-    return max((solve(views, bends[bend].lags, lag, bend) for lag in LAGS), key=lambda bundle: bundle.evidence)
+    exact = [replace(view, faults=EXACT * view.faults) for view in views]
+    tried = [(views, lag) for lag in LAGS] + [(exact, lag) for lag in LAGS[1:]]
+    return max((solve(seen, bends[bend].lags, lag, bend) for seen, lag in tried), key=lambda bundle: bundle.evidence)
 
 
 def starts(a: ViewedStroke, b: ViewedStroke) -> list[np.ndarray]:
@@ -157,7 +162,7 @@ class _Problem:
     def step(self, w, lags):
         """The minimiser (w, lags) of the linearised objective, and the log evidence there."""
         A, b, log_evidence, parts = self.Q.copy(), np.zeros(len(w)), 0.0, []
-        x, h = self.Phi @ w.reshape(-1, 3), 0.5 / COUNT
+        x, h = self.Phi @ w.reshape(-1, 3), 1 / COUNT
         for view, lag, r in zip(self.views, lags, self.residuals(w, lags), strict=True):
             g = (at(view.mean, self.u + lag + h) - at(view.mean, self.u + lag - h)) / (2 * h)
             H = (view.camera.jacobian(x) @ self.Psi).reshape(2 * COUNT, -1)
@@ -192,6 +197,13 @@ def triangulate(pixels, cameras) -> np.ndarray:
     across = [np.eye(3) - d[:, :, None] * d[:, None] for _, d in rays]  # projection across each ray
     A = np.sum(across, axis=0) + 1e-9 * np.eye(3)
     return np.linalg.solve(A, np.sum([P @ o[..., None] for P, (o, _) in zip(across, rays, strict=True)], axis=0))[..., 0]
+
+
+def _smoothed(curve) -> np.ndarray:
+    """curve (N, 2) smoothed, its ends kept: beyond them it goes on as its image in the end point."""
+    reach = int(4 * SMOOTHING) + 1
+    before, after = 2 * curve[0] - curve[reach:0:-1], 2 * curve[-1] - curve[-2 : -reach - 2 : -1]
+    return gaussian_filter1d(np.concatenate([before, curve, after]), SMOOTHING, axis=0)[reach:-reach]
 
 
 def pinned(K) -> np.ndarray:

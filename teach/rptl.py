@@ -1,25 +1,32 @@
 """Ray-tracing Probabilistic Trajectory Learning (RPTL): sketches on two or more views -> a skill (Zhi et al. 2023).
 
-    sketches ─ common time ─ densities per view ─ Algorithm 1 ─ Gaussian weights ─ skill
-               strokes        density.py           raytrace.py   likelihood.py       trajectory.py
+    sketches ─ routes ─ common time ─ densities per view ─ rays ──── Gaussian weights ─ skill
+    turns.py   routes.py  align.py      density.py         raytrace.py  likelihood.py     trajectory.py
+               a single view with a depth picture ──── surface.py ─────────┘
 """
 
 import time as clock
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import contextmanager
-from itertools import combinations
+from dataclasses import dataclass
 
 import numpy as np
 import torch
 
-from scene.camera import Camera
 from teach.align import common_times, oriented, resample
 from teach.basis import SquaredExponential
+from teach.contact import CONTACT, contacts, touch
+from teach.contact import warnings as contact_warnings
 from teach.density import Flow
+from teach.hull import visual_hull
 from teach.likelihood import fit_coherent, fit_diagonal, fit_mean, hand_prior, mean_uncertainty, moments_over_time
+from teach.periodic import unrolled
+from teach.quality import TIMES, contradictions, quality, warnings
 from teach.raytrace import ExactRays, Intersections
-from teach.sketch import Event, Sketch, SketchError, check, ray_angle
-from teach.trajectory import Skill, TrajectoryDistribution
+from teach.routes import split
+from teach.sketch import Event, Sketch, SketchError, check
+from teach.surface import fit_surface
+from teach.trajectory import Route, Skill, TrajectoryDistribution
 
 POINTS = 100
 """Points at even times by which a stroke is represented while fitting."""
@@ -35,64 +42,143 @@ def fit(
     time: str = "aligned",
     speed: str = "drawn",
     robust: bool = True,
+    routes: bool = True,
+    periodic: bool | None = None,
     covariance: str = "coherent",
     predictive: bool = True,
     smoothness: float = 1e-8,
     strength: float = 30.0,
+    depths: Mapping[str, np.ndarray] | None = None,
+    offset: float = 0.0,
+    seen: Callable[[Sketch, object], None] | None = None,
 ) -> Skill:
     """Learn the motion that the sketches draw.
 
-    density: Flow(), or JointFlow() as the paper has it. raytrace: Algorithm1(). basis: SquaredExponential(). time: what
-    is common to strokes: "aligned" (epipolar geometry), "arc_length" or the "drawn" time of each, normalised.
-    covariance: "coherent" (full, of whole strokes) or "diagonal" (the paper's independent weights). smoothness: penalty
-    of the mean's integrated squared acceleration, against its squared error. strength: number of strokes that the
-    coherent covariance's prior is worth. Raises SketchError.
+    density: Flow(), or JointFlow() as the paper has it. raytrace: ExactRays(), or Algorithm1(). basis:
+    SquaredExponential(). time: what is common to strokes: "aligned" (geometry), "arc_length" or the "drawn" time of
+    each, normalised. speed: of the skill, "drawn" (the median of people's) or "uniform". robust: views that contradict
+    the others are left out. routes: strokes that go different ways become different distributions. periodic: whether
+    the motion closes and repeats, None to see it by the strokes (teach.periodic.unrolled) or a periodic basis; the
+    skill is a single turn then, in the periodic basis as wide as ``basis``. covariance: "coherent" (full, of whole
+    strokes) or "diagonal" (the paper's independent weights). predictive: the coherent covariance is that of a further
+    demonstration, which includes how uncertain the mean is. smoothness: penalty of the mean's integrated squared
+    acceleration, against its squared error. strength: number of strokes that the coherent covariance's prior is worth.
+    depths: by view, depth pictures (h, w) [m along the optical axis, nan where nothing is seen]: strokes touch the
+    surface where they have an event "contact", and a motion drawn on one view alone is laid on the surface seen there,
+    ``offset`` [m] off it. seen: is called with each view's sketch and density. Raises SketchError.
     """
     started = clock.perf_counter()
     density, raytrace, basis = density or Flow(), raytrace or ExactRays(), basis or SquaredExponential()
     if covariance not in ("coherent", "diagonal"):
         raise ValueError(f"covariance is 'coherent' or 'diagonal', not {covariance!r}")
-    check(sketches)
-    drawn = [sketch for sketch in sketches if sketch.motions]
-    drawn, notes = oriented(drawn)
-    common = common_times(drawn, time, speed, robust)
-    times = common.times
-    cameras = [sketch.camera for sketch in drawn]
-    strokes, densities = view_densities(drawn, times, density, seed=seed)
-    with _one_thread():
-        met = raytrace(densities, cameras, seed=seed)
-    mean, grid, variance = _mean(basis, met, smoothness)
-    if covariance == "diagonal":
-        S = np.diag(fit_diagonal(basis, grid, variance).ravel())
-    else:
-        observations = _observations(basis, mean, strokes, cameras)
-        S = fit_coherent(observations, hand_prior(basis, mean, smoothness), strength)
-        if predictive:
-            S = S + mean_uncertainty(observations, S)
-    report = _report(drawn, strokes, densities, met, basis, mean)
+    sketches, turns = unrolled(sketches, True if periodic is None and basis.period else periodic)
+    basis = basis.wrapped() if turns and not basis.period else basis
+    check(sketches, surfaces=depths or ())
+    regions = visual_hull(sketches)  # outlines that bound nothing are refused before anything is learned
+    drawn, notes = oriented([sketch for sketch in sketches if sketch.motions])
+    ways, questions = split(drawn) if routes else ([drawn], [])
+    weights = _Weights(basis, covariance, predictive, smoothness, strength)
+    learned = [
+        _learn(way, common_times(way, time, speed, robust), (density, raytrace), weights, depths or {}, offset, seed, seen)
+        for way in ways
+    ]
+    strokes = [sum(len(sketch.motions) for sketch in way) for way in ways]
+    report = learned[0].report
+    if len(ways) > 1:
+        questions.append(f"The strokes go {len(ways)} different ways; each is kept, and planning chooses among them.")
+        report["routes"] = [one.report["sentence"] for one in learned]
+    report["warnings"] = notes + questions + [w for w in dict.fromkeys(w for one in learned for w in one.report["warnings"])]
+    report |= {"turns": turns} if turns else {}
+    report["keep_out"] = {region.name: 1e3 * region.volume for region in regions}  # litres
     report["seconds"] = clock.perf_counter() - started
+    kept = tuple(Sketch(sketch.view, sketch.camera, sketch.outlines) for sketch in sketches if sketch.outlines)
+    shares = np.array(strokes) / sum(strokes)
+    alternatives = tuple(Route(float(share), one.distribution) for share, one in zip(shares, learned, strict=True))
+    best = learned[0]
+    return Skill(best.distribution, best.duration, best.events, None, kept, report, alternatives if len(ways) > 1 else ())
+
+
+@dataclass(frozen=True)
+class _Weights:
+    """How weights are fitted: settings of ``fit``."""
+
+    basis: object
+    covariance: str
+    predictive: bool
+    smoothness: float
+    strength: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Learned:
+    distribution: TrajectoryDistribution
+    duration: float
+    events: tuple[Event, ...]
+    report: dict
+
+
+def _learn(drawn, common, parts, weights: _Weights, depths, offset: float, seed: int, seen) -> _Learned:
+    """One way of the motion."""
+    if len(drawn) == 1:
+        how = {name: getattr(weights, name) for name in ("covariance", "smoothness", "strength")}
+        mean, S, report = fit_surface(
+            drawn[0], depths[drawn[0].view], common.times[0], weights.basis, count=POINTS, offset=offset, **how
+        )
+        distribution = TrajectoryDistribution(weights.basis, mean, S)
+    else:
+        distribution, report = _from_rays(drawn, common, parts, weights, seed, seen)
+        if offset:
+            report["warnings"].append("The offset is not used: it is for a motion drawn on one view, along a surface.")
+    touched = contacts(drawn, common.times, depths)
+    report["contacts"] = [contact.plain() for contact in touched]
+    report["warnings"] += contact_warnings(drawn, touched, depths)
     duration = max(float(np.median([stroke.duration for sketch in drawn for stroke in sketch.motions])), 0.1)
-    keep_out = tuple(
-        Sketch(sketch.view, sketch.camera, outlines)
-        for sketch in sketches
-        if (outlines := tuple(stroke for stroke in sketch.strokes if stroke.kind == "keep_out"))
-    )
-    events = _events(drawn, times, duration)
-    return Skill(TrajectoryDistribution(basis, mean, S), duration, events, None, keep_out, report)
+    events = tuple(e for e in _events(drawn, common.times, duration) if not (touched and e.name == CONTACT))
+    events += tuple(Event(CONTACT, duration * contact.time) for contact in touched)
+    return _Learned(touch(distribution, touched), duration, events, report)
 
 
-def view_densities(drawn: Sequence[Sketch], times, density, *, seed: int = 0) -> tuple[list, list]:
-    """For each view its strokes at ``times`` (teach.align.common_times), (S, POINTS, 2) [px], and their density p(x, y | t)."""
-    strokes = [
+def _from_rays(drawn, common, parts, weights: _Weights, seed: int, seen):
+    """The distribution and the report of a motion drawn on two or more views."""
+    left_out, sentences = contradictions(drawn, common.agree, common.off)
+    drawn, times = zip(*[(s, t) for s, t, ok in zip(drawn, common.times, common.agree, strict=True) if ok], strict=True)
+    density, raytrace = parts
+    cameras = [sketch.camera for sketch in drawn]
+    strokes = _at_even_times(drawn, times)
+    with _one_thread():
+        densities = [
+            density.fit(view, (camera.width, camera.height), seed=seed + number)
+            for number, (view, camera) in enumerate(zip(strokes, cameras, strict=True))
+        ]
+        met = raytrace(densities, cameras, seed=seed)
+        if seen is not None:
+            for sketch, p in zip(drawn, densities, strict=True):
+                seen(sketch, p)
+    basis = weights.basis
+    mean, grid, variance = _mean(basis, met, weights.smoothness)
+    observations = _observations(basis, mean, strokes, cameras)
+    S = fit_coherent(observations, hand_prior(basis, mean, weights.smoothness), weights.strength)
+    open_ = mean_uncertainty(observations, S)
+    if weights.covariance == "diagonal":
+        S = np.diag(fit_diagonal(basis, grid, variance).ravel())
+    elif weights.predictive:
+        S = S + open_
+    distribution = TrajectoryDistribution(basis, mean, S)
+    uncertainty = TrajectoryDistribution(basis, mean, open_).covariance_at(TIMES)
+    report = quality(drawn, strokes, distribution, uncertainty)
+    report["intersections"] = met.counts.tolist()
+    report["noise"] = {sketch.view: density.noise for sketch, density in zip(drawn, densities, strict=True)}
+    report["contradicting"] = left_out
+    report["warnings"] = sentences + warnings(drawn, report["reprojection_px"], report["ray_angle_deg"], met.counts)
+    return distribution, report
+
+
+def _at_even_times(drawn, times) -> list[np.ndarray]:
+    """For each view its strokes (S, POINTS, 2) [px] at even common times."""
+    return [
         np.stack([resample(stroke, at, POINTS) for stroke, at in zip(sketch.motions, view, strict=True)])
         for sketch, view in zip(drawn, times, strict=True)
     ]
-    with _one_thread():
-        densities = [
-            density.fit(view, (sketch.camera.width, sketch.camera.height), seed=seed + number)
-            for number, (view, sketch) in enumerate(zip(strokes, drawn, strict=True))
-        ]
-    return strokes, densities
 
 
 @contextmanager
@@ -140,41 +226,3 @@ def _events(drawn, times, duration: float) -> tuple[Event, ...]:
             for event in stroke.events:
                 marked.setdefault(event.name, []).append(float(np.interp(event.time, stroke.times, at)))
     return tuple(Event(name, duration * float(np.median(times))) for name, times in marked.items())
-
-
-def _report(drawn, strokes, densities, met, basis, mean) -> dict:
-    """Plain numbers on the fit, and warnings in sentences."""
-    x = basis(np.linspace(0, 1, POINTS)) @ mean
-    residual = {}
-    for sketch, drawn_points in zip(drawn, strokes):
-        miss = drawn_points.mean(axis=0) - sketch.camera.project(x)
-        residual[sketch.view] = float(np.linalg.norm(miss, axis=-1).mean())
-    angles = [ray_angle(a, b) for a, b in combinations(drawn, 2)]
-    counts = met.counts
-    return {
-        "reprojection_px": residual,
-        "ray_angle_deg": float(max(angles)),
-        "intersections": counts.tolist(),
-        "noise": {sketch.view: density.noise for sketch, density in zip(drawn, densities)},
-        "warnings": _warnings(drawn, residual, max(angles), counts),
-    }
-
-
-def _warnings(drawn, residual, angle: float, counts) -> list[str]:
-    warnings = []
-    if (missing := int((counts == 0).sum())) > 0:
-        warnings.append(f"At {missing} of {len(counts)} times no rays meet; the motion is interpolated there.")
-    if angle < 15:
-        warnings.append(
-            f"The views look from nearly the same side ({angle:.0f} degrees apart), so depth is uncertain; sketch on a "
-            "view from another side."
-        )
-    for sketch in drawn:
-        outside = np.mean([1 - sketch.camera.contains(stroke.points).mean() for stroke in sketch.motions])
-        if outside > 0:
-            warnings.append(f"{outside:.0%} of what is drawn on view {sketch.view} lies outside the picture.")
-        if (miss := residual[sketch.view]) > 0.05 * sketch.camera.width:
-            warnings.append(f"The strokes on view {sketch.view} miss the motion by {miss:.0f} px; draw them again.")
-        if len(sketch.motions) < 2:
-            warnings.append(f"View {sketch.view} has one stroke: how far the motion may vary is a guess; draw three.")
-    return warnings

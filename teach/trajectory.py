@@ -117,10 +117,19 @@ class TrajectoryDistribution:
 
 
 @dataclass(frozen=True, eq=False)
+class Route:
+    """One of several ways to perform a motion. share: of the strokes that draw it, in (0, 1]."""
+
+    share: float
+    distribution: TrajectoryDistribution
+
+
+@dataclass(frozen=True, eq=False)
 class Skill:
     """What was taught.
 
-    duration: of the motion [s]. events: Events at times [s] of the skill. orientation: None, or rows (t, quat_xyzw) (K,
+    distribution: of the motion, or of the way that most strokes draw. routes: all ways, that one first, where there
+    are several: the motion is their mixture, weighted by shares. duration: of the motion [s]. events: Events at times [s] of the skill. orientation: None, or rows (t, quat_xyzw) (K,
     5) of the hand. keep_out: Sketches of the regions to avoid. report: plain numbers and sentences about the fit
     (JSON).
     """
@@ -131,6 +140,7 @@ class Skill:
     orientation: Float[np.ndarray, "K 5"] | None = None
     keep_out: tuple[Sketch, ...] = ()
     report: dict = field(default_factory=dict)
+    routes: tuple[Route, ...] = ()
 
     def __post_init__(self):
         if not 0 < self.duration < np.inf:
@@ -143,6 +153,12 @@ class Skill:
         object.__setattr__(self, "duration", float(self.duration))
         object.__setattr__(self, "events", tuple(self.events))
         object.__setattr__(self, "keep_out", tuple(self.keep_out))
+        object.__setattr__(self, "routes", tuple(self.routes))
+
+    @property
+    def ways(self) -> tuple[Route, ...]:
+        """The routes; a skill without any goes one way."""
+        return self.routes or (Route(1.0, self.distribution),)
 
     def save(self, path) -> None:
         """Write an npz file, whole or not at all."""
@@ -158,6 +174,10 @@ class Skill:
         arrays = {"mean": d.mean, "covariance": d.covariance, "duration": self.duration, "text": json.dumps(text)}
         if self.orientation is not None:
             arrays["orientation"] = self.orientation
+        if self.routes:
+            arrays["route_shares"] = [route.share for route in self.routes]
+            arrays["route_means"] = np.stack([route.distribution.mean for route in self.routes])
+            arrays["route_covariances"] = np.stack([route.distribution.covariance for route in self.routes])
         with replacing(path) as temporary, open(temporary, "wb") as file:
             np.savez(file, **arrays)
 
@@ -173,10 +193,13 @@ class Skill:
             if text["kind"] != "scene2skill.skill" or text["version"] not in (1, 2):
                 raise ValueError(f"version {text['version']!r} of {text['kind']!r}, expected 1 or 2 of "
                                  "'scene2skill.skill'")
-            distribution = TrajectoryDistribution(_basis(**text["basis"]), arrays["mean"], arrays["covariance"])
+            basis = _basis(**text["basis"])
+            distribution = TrajectoryDistribution(basis, arrays["mean"], arrays["covariance"])
+            parts = [arrays.get(f"route_{name}", ()) for name in ("shares", "means", "covariances")]
+            routes = tuple(Route(float(p), TrajectoryDistribution(basis, m, S)) for p, m, S in zip(*parts, strict=True))
             events = tuple(Event(str(name), float(time)) for name, time in text["events"])
             return cls(distribution, float(arrays["duration"]), events, arrays.get("orientation"),
-                       tuple(loads(text["keep_out"])), text["report"])
+                       tuple(loads(text["keep_out"])), text["report"], routes)
         except (ValueError, KeyError, TypeError, EOFError, OSError, BadZipFile) as error:
             raise ValueError(f"{path} is not a skill file ({error}); teach.fit writes one") from None
 

@@ -2,11 +2,11 @@ import numpy as np
 import pytest
 
 from scene.camera import Camera, look_at
-from teach.align import arc_length, common_times, correspondence, fundamental, resample, sampson
-from teach.sketch import Sketch, SketchError, Stroke
+from teach.align import arc_length, backwards, common_times, oriented, resample, speed_profile
+from teach.sketch import Event, Sketch, SketchError, Stroke
 
 TARGET = np.array([0.5, 0.0, 0.4])
-EYES = ((-0.3, -0.9, 0.9), (1.3, -0.7, 0.8), (0.4, 1.0, 1.1))
+EYES = ((-0.3, -0.9, 0.9), (1.3, -0.7, 0.8), (0.4, 1.0, 1.1), (-0.5, 0.3, 0.6))
 CAMERAS = [Camera.from_fov(look_at(eye, TARGET), 640, 480, 55) for eye in EYES]
 
 
@@ -26,17 +26,8 @@ def disagreement(drawn, time):
     """Largest distance [fraction of the true curve] between the moments that strokes of all views show at equal
     times."""
     s, t = np.linspace(0, 1, 300), np.linspace(0, 1, 50)
-    moments = [np.interp(t, view[0], s) for view in common_times(drawn, time)]
+    moments = [np.interp(t, view[0], s) for view in common_times(drawn, time).times]
     return np.ptp(moments, axis=0).max()
-
-
-def test_points_of_one_place_satisfy_the_fundamental_matrix():
-    a, b = (camera.project(hook(np.linspace(0, 1, 50))) for camera in CAMERAS[:2])
-    F = fundamental(*CAMERAS[:2])
-    assert np.abs(sampson(a, b, F)).max() < 1e-9
-    normal = F @ np.append(a[0], 1)
-    moved = b[:1] + normal[:2] / np.linalg.norm(normal[:2])  # one pixel off the epipolar line, shared by two pictures
-    assert 0.5 < abs(sampson(a[:1], moved, F)[0]) < 1
 
 
 def test_exact_strokes_are_aligned_where_arc_length_is_not():
@@ -67,14 +58,60 @@ def test_trembling_adds_no_arc_length():
     assert abs(arc_length(stroke)[900] - 0.5) < 0.03
 
 
-def test_where_geometry_is_silent_equal_arc_length_stays():
-    s = np.linspace(0, 1, 100)
-    x = TARGET + np.stack([0 * s, 0.3 * (s - 0.5), 0 * s], axis=1)
-    poses = [look_at(TARGET + [0.3, y, 0.9], TARGET, up=(1, 0, 0)) for y in (-0.5, 0.5)]
-    cameras = [Camera.from_fov(pose, 640, 480, 55) for pose in poses]
-    a, b = (camera.project(x)[None] + np.random.default_rng(0).normal(0, 0.5, (3, 1, 2)) for camera in cameras)
-    in_a, in_b = correspondence(a, b, *cameras)  # the line runs along the baseline: along its own epipolar lines
-    assert np.abs(in_a - in_b).max() < 0.02 and in_a[0] == in_b[0] == 0 and in_a[-1] == in_b[-1] == 1
+def test_a_view_that_draws_something_else_is_found_among_four_and_how_far_it_is_off():
+    drawn = sketches(4)
+    other = Stroke(drawn[2].strokes[0].points @ [[0.6, 0.8], [-0.8, 0.6]] + [240, -160], np.linspace(0, 1, 300))
+    drawn[2] = Sketch("v2", CAMERAS[2], (other,) * 3)
+    common = common_times(drawn)
+    assert common.agree.tolist() == [True, True, False, True]
+    assert common.off[2] > 20 > 5 * common.off[[0, 1, 3]].max()
+    assert common_times(drawn, robust=False).agree.all()
+
+
+def test_the_skills_time_is_the_median_of_how_people_drew():
+    slow_middle = lambda s: s + 0.1 * np.sin(2 * np.pi * s)
+    t = speed_profile(sketches(2, [slow_middle, slow_middle]), [[np.linspace(0, 1, 300)] * 3] * 2)
+    assert np.allclose(t, np.linspace(0, 1, 100), atol=0.02)  # moments that pass evenly in drawn time
+    moments = [[slow_middle(np.linspace(0, 1, 300))] * 3] * 2
+    t, u = speed_profile(sketches(2, [slow_middle, slow_middle]), moments), np.linspace(0, 1, 100)
+    assert np.abs(slow_middle(t) - u).max() < 0.03
+    assert (np.diff(t) > 0).all() and t[0] == 0 and t[-1] == 1
+
+
+def test_a_pause_in_one_stroke_does_no_harm():
+    drawn, s = sketches(), np.linspace(0, 1, 300)
+    paused = Stroke(drawn[0].strokes[0].points, np.where(s > 0.4, s + 5, s))
+    changed = [Sketch("v0", CAMERAS[0], (paused, *drawn[0].strokes[1:])), drawn[1]]
+    before, after = (common_times(sketch).times[0][1] for sketch in (drawn, changed))
+    assert np.abs(before - after).max() < 0.01
+
+
+def test_uniform_speed_is_uniform_in_space():
+    times = common_times(sketches(), speed="uniform").times[0][0]
+    x = hook(np.interp(np.linspace(0, 1, 50), times, np.linspace(0, 1, 300)))
+    steps = np.linalg.norm(np.diff(x, axis=0), axis=1)
+    assert steps.std() < 0.15 * steps.mean()
+
+
+def test_strokes_drawn_backwards_are_turned_round_and_it_is_said():
+    drawn = sketches(3)
+    odd = Sketch("v1", CAMERAS[1], (*drawn[1].strokes[:2], backwards(drawn[1].strokes[2])))
+    turned, notes = oriented([drawn[0], odd, drawn[2]])
+    assert notes == ["Stroke 3 on view v1 was drawn backwards; it is taken the other way round."]
+    assert np.array_equal(turned[1].strokes[2].points, drawn[1].strokes[2].points)
+    against = Sketch("v2", CAMERAS[2], tuple(backwards(stroke) for stroke in drawn[2].strokes))
+    turned, notes = oriented([drawn[0], drawn[1], against])
+    assert len(notes) == 1 and "View v2 was drawn from the other end than the other views" in notes[0]
+    assert np.array_equal(turned[2].strokes[0].points, drawn[2].strokes[0].points)
+    assert oriented(drawn)[1] == []
+
+
+def test_a_stroke_backwards_twice_is_itself_with_its_events():
+    stroke = Stroke([[0, 0], [1, 0], [3, 0]], [1, 2, 5], events=(Event("gripper_close", 2.0),), pressure=[1, 2, 3])
+    there = backwards(stroke)
+    assert there.events[0].time == 4 and there.times.tolist() == [1, 4, 5] and there.pressure.tolist() == [3, 2, 1]
+    back = backwards(there)
+    assert np.array_equal(back.points, stroke.points) and back.events == stroke.events
 
 
 def test_times_do_not_decrease_and_end_at_one_whatever_is_drawn():
@@ -82,16 +119,18 @@ def test_times_do_not_decrease_and_end_at_one_whatever_is_drawn():
     for _ in range(5):
         strokes = [Stroke(rng.uniform(0, 480, (8, 2)), np.arange(8)) for _ in range(2)]
         drawn = [Sketch(f"v{i}", CAMERAS[i], (stroke,)) for i, stroke in enumerate(strokes)]
-        for [times] in common_times(drawn, "aligned"):
+        for [times] in common_times(drawn, "aligned").times:
             assert (np.diff(times) >= 0).all() and times[0] == 0 and times[-1] == 1
 
 
 def test_drawn_time_is_the_strokes_own():
     stroke = Stroke([[0, 0], [10, 0], [20, 0]], [1, 4, 5])
-    [[times]] = common_times([Sketch("a", CAMERAS[0], (stroke,))], "drawn")
+    [[times]] = common_times([Sketch("a", CAMERAS[0], (stroke,))], "drawn").times
     assert np.allclose(times, [0, 0.75, 1])
     assert np.allclose(resample(stroke, times, 5)[:, 0], [0, 10 / 3, 20 / 3, 10, 20])
     with pytest.raises(SketchError, match="no time"):
         common_times([Sketch("a", CAMERAS[0], (Stroke([[0, 0], [1, 1]], [0, 0]),))], "drawn")
     with pytest.raises(ValueError, match="aligned"):
         common_times([], "later")
+    with pytest.raises(ValueError, match="uniform"):
+        common_times([], speed="fast")

@@ -69,7 +69,7 @@ def loop(n=UP):
 
 
 def laid(drawn, depth, offset=0.0):
-    return lift(drawn, depth, common_times([drawn], "arc_length")[0], 100, offset)
+    return lift(drawn, depth, common_times([drawn], "arc_length", "uniform").times[0], 100, offset)
 
 
 def shielded(depth, drawn, width, away=0.3, at=50):
@@ -208,7 +208,7 @@ def test_a_box_on_the_table_is_climbed_and_its_far_edge_reported():
 
 def fitted(depth, lines, offset=0.0, **how):
     drawn = sketch(*lines)
-    mean, S, report = fit_surface(drawn, depth, common_times([drawn], "arc_length")[0], SquaredExponential(),
+    mean, S, report = fit_surface(drawn, depth, common_times([drawn], "arc_length", "uniform").times[0], SquaredExponential(),
                                   offset=offset, **HOW | how)  # fmt: skip
     return TrajectoryDistribution(SquaredExponential(), mean, S), report
 
@@ -256,7 +256,7 @@ def marked(line, *times, camera=CAMERA, view="v"):
 
 
 def found(sketches, depths):
-    return contacts(sketches, common_times(sketches, "drawn"), depths)
+    return contacts(sketches, common_times(sketches, "drawn").times, depths)
 
 
 def test_a_contact_is_where_the_ray_of_its_pixel_meets_the_surface():

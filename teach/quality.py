@@ -1,0 +1,107 @@
+"""How good a fit is, in plain numbers and in sentences that a person understands: what to draw again, and where.
+
+Notation
+    Sigma(t)    covariance [m^2] of the mean trajectory at t, what few strokes and their rays leave open
+    J_v         Jacobian [px/m] of view v; a view sees the direction e with |J_v e|
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from teach.metrics import region_radius
+from teach.sketch import Sketch, ray_angle
+
+TIMES = np.linspace(0, 1, 50)
+WEAK, LEAST = 1.6, 0.004
+"""A stretch is weak where the mean is this many times as uncertain as on the median, and by at least this [m]."""
+
+
+def quality(drawn: Sequence[Sketch], strokes, distribution, uncertainty) -> dict:
+    """drawn: the views; strokes: of each (S, T, 2) [px] at even common times; distribution: what was learned.
+    uncertainty: (T, 3, 3) [m^2], Sigma at TIMES."""
+    x = distribution.mean_at(TIMES)
+    deviation = np.sqrt(np.einsum("tii->t", distribution.covariance_at(TIMES)).clip(0))
+    off, axes = np.linalg.eigh(uncertainty)
+    doubt, axis = np.sqrt(off[:, -1].clip(0)), axes[..., -1]
+    angle = _ray_angles([sketch.camera for sketch in drawn], x)
+    weak = _weak(drawn, x, doubt, axis)
+    report = {
+        "deviation_mm": (1000 * deviation).round(3).tolist(),
+        "uncertainty_mm": (1000 * doubt).round(3).tolist(),
+        "angle_deg": angle.round(2).tolist(),
+        "ray_angle_deg": float(max(ray_angle(a, b) for k, a in enumerate(drawn) for b in drawn[:k])),
+        "reprojection_px": {},
+        "stroke_px": {},
+        "weakest": weak,
+        "sentence": _sentence(1000 * doubt, weak),
+    }
+    mean = distribution.mean_at(np.linspace(0, 1, strokes[0].shape[1]))
+    for sketch, points in zip(drawn, strokes, strict=True):
+        miss = points - sketch.camera.project(mean)
+        report["reprojection_px"][sketch.view] = float(np.linalg.norm(miss.mean(axis=0), axis=-1).mean())
+        report["stroke_px"][sketch.view] = np.linalg.norm(miss, axis=-1).mean(axis=-1).round(2).tolist()
+    return report
+
+
+def _ray_angles(cameras, x) -> np.ndarray:
+    """(T,) [deg]: the widest angle, up to 90, between rays of any two views to the points x (T, 3)."""
+    rays = [(x - camera.centre) / np.linalg.norm(x - camera.centre, axis=1, keepdims=True) for camera in cameras]
+    cosines = [np.abs((a * b).sum(axis=1)) for k, a in enumerate(rays) for b in rays[:k]]
+    return np.degrees(np.arccos(np.clip(np.min(cosines, axis=0), 0, 1)))
+
+
+def _weak(drawn, x, doubt, axis) -> dict | None:
+    """The most uncertain stretch: its times, its deviation [mm], and the view that sees best what is uncertain there."""
+    bad = (doubt > WEAK * np.median(doubt)) & (doubt > LEAST)
+    if not bad.any():
+        return None
+    first = last = int(np.argmax(np.where(bad, doubt, 0)))
+    while first > 0 and bad[first - 1]:
+        first -= 1
+    while last < len(bad) - 1 and bad[last + 1]:
+        last += 1
+    here = slice(first, last + 1)
+    seen = [np.linalg.norm(s.camera.jacobian(x[here]) @ axis[here, :, None], axis=1).mean() for s in drawn]
+    best = drawn[int(np.argmax(seen))].view
+    return {"from": float(TIMES[first]), "to": float(TIMES[last]), "uncertainty_mm": float(1000 * doubt[here].max()), "view": best}
+
+
+def _sentence(doubt, weak) -> str:
+    known = f"The motion is known to about {region_radius(1) * np.median(doubt):.0f} mm"
+    if weak is None:
+        return known + " all along."
+    return (f"{known} on most of its way, but only to {region_radius(1) * weak['uncertainty_mm']:.0f} mm from {weak['from']:.0%} to "
+            f"{weak['to']:.0%} of it: draw that part once more on view {weak['view']}, or on a view from another side.")  # fmt: skip
+
+
+def warnings(drawn: Sequence[Sketch], residual, angle: float, counts) -> list[str]:
+    """Sentences on what was drawn that a person should know. residual: reprojection_px; counts: of intersections."""
+    sentences = []
+    if (missing := int((counts == 0).sum())) > 0:
+        sentences.append(f"At {missing} of {len(counts)} times no rays meet; the motion is interpolated there.")
+    if angle < 15:
+        sentences.append(
+            f"The views look from nearly the same side ({angle:.0f} degrees apart), so depth is uncertain; sketch on a "
+            "view from another side."
+        )
+    for sketch in drawn:
+        outside = np.mean([1 - sketch.camera.contains(stroke.points).mean() for stroke in sketch.motions])
+        if outside > 0:
+            sentences.append(f"{outside:.0%} of what is drawn on view {sketch.view} lies outside the picture.")
+        if (miss := residual[sketch.view]) > 0.05 * sketch.camera.width:
+            sentences.append(f"The strokes on view {sketch.view} miss the motion by {miss:.0f} px; draw them again.")
+        if len(sketch.motions) < 2:
+            sentences.append(f"View {sketch.view} has one stroke: how far the motion may vary is a guess; draw three.")
+    return sentences
+
+
+def contradictions(drawn: Sequence[Sketch], agree, off) -> tuple[dict, list[str]]:
+    """Views that were left out, with how far off they are [px], and a sentence on each."""
+    out = {s.view: float(miss) for s, ok, miss in zip(drawn, agree, off, strict=True) if not ok}
+    return out, [
+        f"The sketch on view {view} contradicts the others and is left out: it misses their motion by {miss:.0f} px."
+        if np.isfinite(miss)
+        else f"The sketch on view {view} contradicts the others and is left out: they put the motion behind its camera."
+        for view, miss in out.items()
+    ]
