@@ -136,6 +136,26 @@ def over_time(times, mean, deviation, samples) -> Figure:
     return figure
 
 
+def quality(report: dict) -> Figure:
+    """Uncertainty of the mean, spread and ray angle over normalised time; the weakest stretch is shaded. report: teach.quality's."""
+    figure = Figure(figsize=(11, 2.6), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    t = np.linspace(0, 1, len(report["uncertainty_mm"]))
+    left.plot(t, report["uncertainty_mm"], color="black", label="of the mean")
+    left.plot(t, report["deviation_mm"], color=MUTED, label="of demonstrations")
+    left.set_title("standard deviation [mm]", fontsize=9)
+    left.legend(fontsize=8)
+    right.plot(t, report["angle_deg"], color="black")
+    right.set_title("angle between rays [deg]", fontsize=9)
+    right.set_ylim(0, 95)
+    left.set_ylim(0, None)
+    for axis in (left, right):
+        axis.set_xlabel("t")
+        if report["weakest"]:
+            axis.axvspan(report["weakest"]["from"], report["weakest"]["to"], color="#ffebe9")
+    return figure
+
+
 def checks(plan, execution=None) -> Figure:
     """Clearance and errors over time, against nothing below zero and 5 mm."""
     figure = Figure(figsize=(11, 2.6), layout="constrained")

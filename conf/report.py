@@ -141,8 +141,10 @@ def _learned(page: _Page, metrics: dict) -> list[str]:
     rng = np.random.default_rng(0)
     skill, start = Skill.load(page.run / "skill.npz"), _start(page)
     learned, regions = skill.distribution, visual_hull(skill.keep_out)
-    conditioned = learned if start is None else learned.condition(0.0, start)
-    mean, samples = learned.mean_at(TIMES), learned.sample(SHOWN_SAMPLES, TIMES, rng)
+    conditioned = learned if start is None else skill.starting_at(start)[0].distribution
+    counts = [max(round(SHOWN_SAMPLES * way.share), 1) for way in skill.ways]
+    mean = learned.mean_at(TIMES)
+    samples = np.concatenate([way.distribution.sample(n, TIMES, rng) for way, n in zip(skill.ways, counts, strict=True)])
     drawn = _drawn(page)
     pages = [(t, image, c.project(mean), c.project(samples), strokes) for t, image, c, strokes, _ in drawn]
     sketched = [(t, image, strokes, outlines) for t, image, _, strokes, outlines in drawn[:2]]
@@ -150,7 +152,7 @@ def _learned(page: _Page, metrics: dict) -> list[str]:
     variance = np.einsum("tii->ti", conditioned.covariance_at(TIMES))
     deviation = np.sqrt(np.maximum(variance, 0))  # rounding leaves -1e-18 where the start is exact
     edges = [region.edges for region in regions]
-    parts = ["<h2>The learned motion</h2>", *_scores(metrics["teach"]), *_densities(page)]
+    parts = ["<h2>The learned motion</h2>", *_scores(metrics["teach"]), *_quality(page, skill.report), *_densities(page)]
     return parts + [
         page.picture("overview", figures.overview(sketched, pages[-1], _last_frame(page)),
                      "Sketched on two views, learned, performed."),
@@ -160,6 +162,17 @@ def _learned(page: _Page, metrics: dict) -> list[str]:
         page.picture("over_time", figures.over_time(TIMES, conditioned.mean_at(TIMES), deviation, started),
                      "Position over normalised time, conditioned to start at the hand (square), with two standard deviations."),
     ]  # fmt: skip
+
+
+def _quality(page: _Page, report: dict) -> list[str]:
+    """What a person should know of the fit, and when the motion is known how well."""
+    said = "".join(f"<li>{html.escape(sentence)}" for sentence in report.get("warnings", ()))
+    parts = [f"<p>{html.escape(report['sentence'])}</p>"] if "sentence" in report else []
+    parts += [f"<ul>{said}</ul>"] if said else []
+    if "uncertainty_mm" not in report:
+        return parts
+    return parts + [page.picture("quality", figures.quality(report), "How far the motion's mean may be off (one standard deviation) and "
+                                 "how far demonstrations vary; the angle at which rays of the views meet; shaded: draw again.")]  # fmt: skip
 
 
 def _scores(teach: dict) -> list[str]:

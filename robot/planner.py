@@ -1,6 +1,7 @@
 """plan: a distribution of trajectories becomes one checked and timed motion.
 
-    1. Condition the distribution on where the hand is. The candidates are its mean and samples of it.
+    1. Condition the distribution on where the hand is. The candidates are its mean and samples of it; where the skill
+       knows several ways, the mean of each and samples of each by its share.
     2. For each, find a joint path that keeps the tip on it (postures.py: which way the hand is turned is free unless
        taught) and measure its clearance to the world and to the arm itself, swept between waypoints (collision.py).
        All profiles are tried on the mean; the samples begin with those that served the mean best (attempt.py).
@@ -34,7 +35,7 @@ class Plan:
     times (T,) [s]. joints (T, J) [rad]. names: of the joints. position_error (T,) [m]: tip against the candidate
     followed. clearance (T,) [m]: to the world and the skill's keep-out regions, at most 0.3. self_clearance (T,) [m]: of the arm to itself. tip (T, 3)
     [m]. refusals: a sentence for each refused candidate. samples: candidates tried. chosen: which is followed, 0 is the
-    mean. feasible: whether the motion passed every check; where False, ``joints`` are the least bad candidate, not to
+    mean. way: of the skill's ways the one that is followed, the most usual is 0. feasible: whether the motion passed every check; where False, ``joints`` are the least bad candidate, not to
     be performed.
     """
 
@@ -49,13 +50,14 @@ class Plan:
     samples: int
     chosen: int
     feasible: bool
+    way: int = 0
 
     @property
     def sentence(self) -> str:
         """What came of it, in one line."""
         if not self.feasible:
             return f"none of {self.samples} candidates is feasible; {self.refusals[self.chosen]}"
-        which = "the mean" if self.chosen == 0 else f"sample {self.chosen}"
+        which = ("the mean" if self.chosen == 0 else f"sample {self.chosen}") + f" (way {self.way + 1})" * (self.way > 0)
         feasible, clear, error = (
             self.samples - len(self.refusals),
             1e3 * self.clearance.min(),
@@ -97,11 +99,11 @@ class Plan:
             raise FileNotFoundError(f"no plan file {path}")
         try:
             with np.load(path, allow_pickle=False) as file:
-                values = {f.name: file[f.name] for f in fields(cls)}
+                values = {f.name: file[f.name] for f in fields(cls) if f.name != "way"} | {"way": file.get("way", np.array(0))}
         except (ValueError, KeyError, EOFError, OSError, BadZipFile) as error:
             raise ValueError(f"{path} is not a plan file ({error}); robot.plan writes one") from None
         words = {name: tuple(values[name].tolist()) for name in ("names", "refusals")}
-        numbers = {name: values[name].item() for name in ("samples", "chosen", "feasible")}
+        numbers = {name: values[name].item() for name in ("samples", "chosen", "feasible", "way")}
         return cls(**values | words | numbers)
 
 
@@ -134,7 +136,7 @@ def plan(
     start = np.array(arm.home if start is None else start, dtype=float)
     model = CollisionModel(arm, world, visual_hull(skill.keep_out))
     _check_start(arm, model, start, margin)
-    candidates, unlikely = _candidates(skill, arm.fk(start)[:3, 3], samples, waypoints, seed)
+    candidates, unlikely, way = _candidates(skill, arm.fk(start)[:3, 3], samples, waypoints, seed)
     attempts = Search(arm, model, start, margin, comfortable, postures).all(candidates, skill.orientation)
     refusals = {a.index: a.refusal for a in attempts if a.refusal}
     for attempt in _in_order(attempts, unlikely, comfortable):
@@ -145,9 +147,9 @@ def plan(
             refusals[attempt.index] = f"{title(attempt.index)}: {error}"
         if not refusals[attempt.index]:
             del refusals[attempt.index]
-            return _plan(arm, timed, refusals, samples, attempt.index, True)
+            return _plan(arm, timed, refusals, attempt.index, way, True)
     least_bad = max(attempts, key=lambda a: a.rank)
-    return _plan(arm, _untimely(arm, model, least_bad, skill.duration, rate), refusals, samples, least_bad.index, False)
+    return _plan(arm, _untimely(arm, model, least_bad, skill.duration, rate), refusals, least_bad.index, way, False)
 
 
 def _check_start(arm, model, start, margin):
@@ -165,20 +167,24 @@ def _check_start(arm, model, start, margin):
 
 
 def _candidates(skill, tip, samples, waypoints, seed):
-    """Paths (samples, N, 3) from the tip on, the mean first, and their squared Mahalanobis distances (samples,)."""
-    t = np.linspace(0, 1, waypoints)
-    distribution = skill.distribution.condition(0.0, tip)
-    mean = distribution.mean_at(t)
-    paths = (
-        np.concatenate([mean[None], distribution.sample(samples - 1, t, np.random.default_rng(seed))])
-        if samples > 1
-        else mean[None]
-    )
-    if not np.isfinite(paths).all():
-        raise ValueError("the skill's distribution gives trajectories that are not finite numbers; fit it again")
-    covariance = distribution.covariance_at(t) + 1e-6 * np.eye(3)  # it vanishes where the path is conditioned
-    offset = paths - mean
-    return paths, np.einsum("nta,tab,ntb->n", offset, np.linalg.inv(covariance), offset) / waypoints
+    """Paths (samples, N, 3) from the tip on, the mean first, how unlikely each is (samples,), and its way (samples,).
+
+    Unlikely: squared Mahalanobis distance to the mean of its way, and twice the negative log share of that."""
+    t, rng = np.linspace(0, 1, waypoints), np.random.default_rng(seed)
+    ways = skill.starting_at(tip)[:samples]
+    counts = np.diff(np.round((samples - len(ways)) * np.cumsum([0.0] + [way.share for way in ways])).astype(int))
+    paths, unlikely = [], []
+    for way, count in zip(ways, counts, strict=True):
+        mean = way.distribution.mean_at(t)
+        drawn = np.concatenate([mean[None], way.distribution.sample(count, t, rng)])
+        if not np.isfinite(drawn).all():
+            raise ValueError("the skill's distribution gives trajectories that are not finite numbers; fit it again")
+        inverse = np.linalg.inv(way.distribution.covariance_at(t) + 1e-6 * np.eye(3))  # it vanishes at the start
+        paths.append(drawn)
+        unlikely.append(np.einsum("nta,tab,ntb->n", drawn - mean, inverse, drawn - mean) / waypoints - 2 * np.log(way.share))
+    of_way = [np.full(len(part), k) for k, part in enumerate(paths)]
+    means_first = lambda parts: np.concatenate([part[:1] for part in parts] + [part[1:] for part in parts])
+    return means_first(paths), means_first(unlikely), means_first(of_way)
 
 
 def _in_order(attempts, unlikely, comfortable) -> list[Attempt]:
@@ -223,7 +229,7 @@ def _timed_refusal(model, timed, index, margin) -> str:
     return swept_refusal(model, timed.joints, timed.waypoint, index, margin - RESOLUTION)
 
 
-def _plan(arm, timed, refusals, samples, chosen, feasible) -> Plan:
+def _plan(arm, timed, refusals, chosen, way, feasible) -> Plan:
     said = tuple(refusals[k] for k in sorted(refusals))
     return Plan(
         timed.times,
@@ -234,7 +240,8 @@ def _plan(arm, timed, refusals, samples, chosen, feasible) -> Plan:
         timed.distance[:, ITSELF],
         timed.tip,
         said,
-        samples,
+        len(way),
         chosen,
         feasible,
+        int(way[chosen]),
     )

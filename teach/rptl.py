@@ -48,6 +48,7 @@ def fit(
     predictive: bool = True,
     smoothness: float = 1e-8,
     strength: float = 30.0,
+    conditioning: str = "gaussian",
     depths: Mapping[str, np.ndarray] | None = None,
     offset: float = 0.0,
     seen: Callable[[Sketch, object], None] | None = None,
@@ -63,6 +64,7 @@ def fit(
     strokes) or "diagonal" (the paper's independent weights). predictive: the coherent covariance is that of a further
     demonstration, which includes how uncertain the mean is. smoothness: penalty of the mean's integrated squared
     acceleration, against its squared error. strength: number of strokes that the coherent covariance's prior is worth.
+    conditioning: how the skill starts where the hand is, "gaussian" or the paper's "first_weight".
     depths: by view, depth pictures (h, w) [m along the optical axis, nan where nothing is seen]: strokes touch the
     surface where they have an event "contact", and a motion drawn on one view alone is laid on the surface seen there,
     ``offset`` [m] off it. seen: is called with each view's sketch and density. Raises SketchError.
@@ -92,10 +94,12 @@ def fit(
     report["keep_out"] = {region.name: 1e3 * region.volume for region in regions}  # litres
     report["seconds"] = clock.perf_counter() - started
     kept = tuple(Sketch(sketch.view, sketch.camera, sketch.outlines) for sketch in sketches if sketch.outlines)
-    shares = np.array(strokes) / sum(strokes)
-    alternatives = tuple(Route(float(share), one.distribution) for share, one in zip(shares, learned, strict=True))
+    shares = np.array(strokes) / sum(strokes) if len(ways) > 1 else ()
+    alternatives = tuple(Route(float(p), one.distribution) for p, one in zip(shares, learned, strict=False))
     best = learned[0]
-    return Skill(best.distribution, best.duration, best.events, None, kept, report, alternatives if len(ways) > 1 else ())
+    return Skill(
+        best.distribution, best.duration, best.events, None, kept, report, routes=alternatives, conditioning=conditioning
+    )
 
 
 @dataclass(frozen=True)

@@ -18,8 +18,12 @@ from scene.files import replacing
 from teach.basis import Periodic, SquaredExponential
 from teach.sketch import Event, Sketch, dumps, loads
 
+CONDITIONING = ("gaussian", "first_weight")
 EXACT = 1e-9
 """A condition without covariance is met to this distance [m]."""
+LIKELY, BUMP, FAR = 11.3, 0.07, 10.0
+"""Squared Mahalanobis distance of 99 % of the points of a trajectory; deviation in time of a bump beyond it; its
+largest variance over the squared way to the point."""
 BASES = {basis.__name__: basis for basis in (SquaredExponential, Periodic)}
 """The bases that a skill's file can name."""
 
@@ -76,12 +80,14 @@ class TrajectoryDistribution:
         mahalanobis = np.einsum("ta,ta->t", offset, np.linalg.solve(covariance, offset[..., None])[..., 0])
         return -0.5 * (mahalanobis + np.linalg.slogdet(covariance)[1] + 3 * np.log(2 * np.pi))
 
-    def condition(self, t, x, covariance=None) -> "TrajectoryDistribution":
+    def condition(self, t, x, covariance=None, local: bool = True) -> "TrajectoryDistribution":
         """The distribution of the trajectories that pass x at t; the rest of their shape follows by correlation.
 
         t: () or (K,) times. x: (3,) or (K, 3) [m]. covariance: None (exactly there), (3, 3) for each of them or (K, 3,
-        3) [m^2]. Where the distribution has no such motion (a singular S), what is missing is bridged by the least
-        change of the weights. Raises ValueError where conditions contradict each other. K = S Psi (Psi^T S Psi + R)^-1.
+        3) [m^2]. local: a point further away than the distribution explains is reached by a bump of its own around t,
+        and says the less of the rest the further away it is; False: all of it is explained by correlation. Where the
+        distribution has no such motion (a singular S), what is missing is bridged by the least change of the weights.
+        Raises ValueError where conditions contradict each other. K = S Psi (Psi^T S Psi + R)^-1 (Paraschos et al. 2013).
         """
         t = np.atleast_1d(np.asarray(t, dtype=float))
         x = np.asarray(x, dtype=float).reshape(-1, 3)
@@ -89,6 +95,8 @@ class TrajectoryDistribution:
             raise ValueError(f"{len(t)} conditioned time(s) need as many finite positions (3,), not {x.shape}")
         H, R = self.features(t), _blocks(covariance, len(t))
         S, w = self.covariance, self.mean.ravel()
+        if local:
+            S = S + self._bumps(t, x, R)
         K = np.linalg.lstsq(_symmetric(H @ S @ H.T + R).T, H @ S, rcond=1e-12)[0].T
         w = w + K @ (x.ravel() - H @ w)
         A = np.eye(len(w)) - K @ H
@@ -99,6 +107,34 @@ class TrajectoryDistribution:
                 raise ValueError(f"no trajectory of this basis passes all {len(t)} points at t = {np.round(t, 4)}: "
                                  "conditions at (nearly) the same time contradict each other")
         return replace(self, mean=w.reshape(-1, 3), covariance=_symmetric(A @ S @ A.T + K @ R @ K.T))
+
+    def _bumps(self, t, x, R) -> np.ndarray:
+        """Covariance (3M, 3M) [m^2] of bumps of free height around the conditions that S does not explain.
+
+        A condition's squared Mahalanobis distance m beyond LIKELY comes down to LIKELY^2 / m by the bump's variance, so
+        that S answers for the share (LIKELY / m)^2 of the way: all of it at LIKELY, nearly nothing of it far away.
+        """
+        D, grid = np.zeros_like(self.covariance), np.linspace(0, 1, 200)
+        Phi = self.basis(grid)
+        for k, (time, position) in enumerate(zip(t, x, strict=True)):
+            C = self.covariance_at(time)[0] + R[3 * k : 3 * k + 3, 3 * k : 3 * k + 3]
+            C = C + (EXACT**2 + 1e-12 * np.trace(C)) * np.eye(3)
+            off = position - self.mean_at(time)[0]
+            m = off @ np.linalg.solve(C, off)
+            if m > LIKELY:
+                away = grid - time
+                if self.basis.period:
+                    away = (away + self.basis.period / 2) % self.basis.period - self.basis.period / 2
+                target = Phi.T @ np.exp(-(away**2) / (2 * BUMP**2))
+                bump = np.linalg.solve(Phi.T @ Phi + 1e-6 * np.trace(Phi.T @ Phi) * np.eye(len(target)), target)
+                bump = bump / (self.basis(time)[0] @ bump)
+                variance = (off @ off) * min(m / LIKELY**2 - 1 / m, FAR)
+                D += np.kron(variance * np.outer(bump, bump), np.eye(3))
+        if not D.any():
+            return D
+        values, vectors = np.linalg.eigh(self.covariance)
+        free = vectors[:, values > 1e-11 * values[-1]]  # what was met exactly before stays so
+        return free @ (free.T @ D @ free) @ free.T
 
     def with_first_weight(self, x) -> "TrajectoryDistribution":
         """The paper's way to start at x (3,) [m]: every sample keeps W_2: and alters W_1 so that xi(0) = x (Section
@@ -129,7 +165,8 @@ class Skill:
     """What was taught.
 
     distribution: of the motion, or of the way that most strokes draw. routes: all ways, that one first, where there
-    are several: the motion is their mixture, weighted by shares. duration: of the motion [s]. events: Events at times [s] of the skill. orientation: None, or rows (t, quat_xyzw) (K,
+    are several: the motion is their mixture, weighted by shares. conditioning: how a motion starts where the hand is,
+    "gaussian" or the paper's "first_weight". duration: of the motion [s]. events: Events at times [s] of the skill. orientation: None, or rows (t, quat_xyzw) (K,
     5) of the hand. keep_out: Sketches of the regions to avoid. report: plain numbers and sentences about the fit
     (JSON).
     """
@@ -141,8 +178,11 @@ class Skill:
     keep_out: tuple[Sketch, ...] = ()
     report: dict = field(default_factory=dict)
     routes: tuple[Route, ...] = ()
+    conditioning: str = "gaussian"
 
     def __post_init__(self):
+        if self.conditioning not in CONDITIONING:
+            raise ValueError(f"conditioning is one of {', '.join(CONDITIONING)}, not {self.conditioning!r}")
         if not 0 < self.duration < np.inf:
             raise ValueError(f"a skill's duration is positive, not {self.duration} s")
         if self.orientation is not None:
@@ -160,6 +200,11 @@ class Skill:
         """The routes; a skill without any goes one way."""
         return self.routes or (Route(1.0, self.distribution),)
 
+    def starting_at(self, x) -> tuple[Route, ...]:
+        """The ways, each conditioned to start at x (3,) [m]."""
+        start = (lambda d: d.condition(0.0, x)) if self.conditioning == "gaussian" else lambda d: d.with_first_weight(x)
+        return tuple(Route(way.share, start(way.distribution)) for way in self.ways)
+
     def save(self, path) -> None:
         """Write an npz file, whole or not at all."""
         d = self.distribution
@@ -170,6 +215,7 @@ class Skill:
             "events": [[event.name, event.time] for event in self.events],
             "keep_out": dumps(self.keep_out),
             "report": self.report,
+            "conditioning": self.conditioning,
         }
         arrays = {"mean": d.mean, "covariance": d.covariance, "duration": self.duration, "text": json.dumps(text)}
         if self.orientation is not None:
@@ -199,7 +245,7 @@ class Skill:
             routes = tuple(Route(float(p), TrajectoryDistribution(basis, m, S)) for p, m, S in zip(*parts, strict=True))
             events = tuple(Event(str(name), float(time)) for name, time in text["events"])
             return cls(distribution, float(arrays["duration"]), events, arrays.get("orientation"),
-                       tuple(loads(text["keep_out"])), text["report"], routes)
+                       tuple(loads(text["keep_out"])), text["report"], routes, text.get("conditioning", "gaussian"))
         except (ValueError, KeyError, TypeError, EOFError, OSError, BadZipFile) as error:
             raise ValueError(f"{path} is not a skill file ({error}); teach.fit writes one") from None
 

@@ -6,6 +6,7 @@ from teach.likelihood import (
     fit_diagonal,
     fit_mean,
     hand_prior,
+    mean_uncertainty,
     moments_over_time,
     projection,
     smoothness_penalty,
@@ -119,3 +120,19 @@ def test_the_hands_prior_of_a_periodic_motion_is_the_same_all_the_way_round():
     C = Psi @ d.covariance @ Psi.T
     assert np.allclose(np.diag(C), (0.03**2 + 0.038**2) * 2**2 / 2, rtol=0.05)
     assert np.isclose(C[0, 1], C[2, 3], rtol=0.02)  # 0.1 apart, also where the turn begins
+
+
+def test_the_mean_is_the_better_known_the_more_strokes_there_are():
+    mean = projection(BASIS, T, np.ones(50), 1e-8) @ (0.3 * curve(T))
+    S = hand_prior(BASIS, mean, 1e-8)
+    spread = lambda S: np.einsum("tii->", TrajectoryDistribution(BASIS, mean, S).covariance_at(T))
+    few, many = (spread(mean_uncertainty(observed(S, n, np.random.default_rng(0)), S)) for n in (3, 300))
+    assert many < 0.1 * few < 0.1 * spread(S)
+
+
+def test_the_uncertainty_of_the_mean_is_the_posterior_in_closed_form():
+    """With what is seen of all weights directly: (S^-1 + n (S + I)^-1)^-1 of each view."""
+    S = np.diag(np.linspace(1, 2, 6))
+    H = np.eye(6)
+    found = mean_uncertainty([(H, np.zeros((4, 6))), (H, np.zeros((2, 6)))], S)
+    assert np.allclose(found, np.linalg.inv(np.linalg.inv(S) + 6 * np.linalg.inv(S + np.eye(6))))

@@ -19,7 +19,7 @@ from scene.camera import Camera, look_at
 from teach.basis import SquaredExponential
 from teach.hull import visual_hull
 from teach.sketch import Sketch, SketchError, Stroke
-from teach.trajectory import Skill, TrajectoryDistribution
+from teach.trajectory import Route, Skill, TrajectoryDistribution
 
 GOAL = np.array([0.83, 0.10, 0.30])
 
@@ -286,3 +286,20 @@ def test_repeated_waypoints_are_no_obstacle_to_timing():
     times, joints, waypoints = time_path(path, np.ones(2), np.ones(2))
     assert np.isfinite(joints).all() and (np.diff(waypoints) >= 0).all()
     np.testing.assert_allclose(joints[[0, -1]], path[[0, -1]], atol=1e-9)
+
+
+def test_planning_takes_another_way_where_the_usual_one_is_blocked(arm, free):
+    usual, other = (skill_to(arm, GOAL, lift=lift, spread=0.004).distribution for lift in (-0.12, 0.2))
+    skill = Skill(usual, 4.0, routes=(Route(0.6, usual), Route(0.4, other)))
+    assert plan(skill, arm, free, samples=6).way == 0
+    middle = skill.starting_at(arm.fk(arm.home)[:3, 3])[0].distribution.mean_at([0.5])[0]
+    box = free.client.createCollisionShape(pybullet.GEOM_BOX, halfExtents=[0.06, 0.06, 0.06])
+    free.bodies["Box"] = free.client.createMultiBody(0, box, -1, middle - [0, 0, 0.06])
+    planned = plan(skill, arm, free, samples=6)
+    assert planned.feasible and planned.way == 1 and "way 2" in planned.sentence
+    assert np.abs(planned.tip[-1] - GOAL).max() < 0.05
+
+
+def test_the_way_that_is_taken_is_kept_with_the_plan(planned, tmp_path):
+    replace(planned, way=1).save(tmp_path / "plan.npz")
+    assert Plan.load(tmp_path / "plan.npz").way == 1

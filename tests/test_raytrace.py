@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from scene.camera import Camera, look_at, ray_distance
-from teach.raytrace import Algorithm1
+from teach.raytrace import Algorithm1, ExactRays, information_form
 
 TARGET = np.array([0.5, 0.0, 0.4])
 CAMERAS = [Camera.from_fov(look_at(eye, TARGET), 640, 480, 55) for eye in ((-0.3, -0.9, 0.9), (-0.3, 0.9, 0.9))]
@@ -95,3 +95,59 @@ def test_points_are_bounded_however_wide_the_densities_are():
     met = Algorithm1(times=3, grid=100, epsilon=0.01, points=500)([Spot(c, 60.0) for c in CAMERAS], CAMERAS)
     assert met.counts.min() > 3000 and len(met.points) <= 3 * 500
     assert np.abs(centred(met) - point(met.grid)).max() < 0.03
+
+
+THREE = [*CAMERAS, Camera.from_fov(look_at((1.2, 0.1, 1.2), TARGET), 640, 480, 55)]
+
+
+@pytest.mark.parametrize("cameras", [CAMERAS, THREE], ids=["two views", "three views"])
+def test_exact_rays_meet_at_the_known_point_with_any_number_of_views(cameras):
+    met = ExactRays(times=7)([Spot(camera) for camera in cameras], cameras)
+    assert np.abs(centred(met) - point(met.grid)).max() < 2e-3
+    assert met.counts.min() == 128 and met.weights.max() == 1
+
+
+@pytest.mark.parametrize("spread", [0.3, 3.0, 12.0])
+def test_weighted_points_have_the_covariance_of_the_product_of_gaussian_densities(spread):
+    """In closed form: the views' information adds up, Sigma^-1 = sum J^T J / spread^2."""
+    met = ExactRays(times=3, points=4000, draws=2000)([Spot(camera, spread) for camera in THREE], THREE)
+    at = met.times == 0.5
+    Sigma = np.cov(met.points[at].T, aweights=met.weights[at])
+    information = sum(J.T @ J for J in (camera.jacobian(point(0.5)) for camera in THREE)) / spread**2
+    assert np.allclose(Sigma @ information, np.eye(3), atol=0.12)
+
+
+def test_weights_correct_what_the_gaussian_of_the_moments_gets_wrong():
+    """A density of two spots, one of them where no ray of the other view passes: only the true one counts."""
+
+    class TwoSpots(Spot):
+        def log_prob(self, t, points):
+            other = super().log_prob(t, points - [0, 60])
+            return np.logaddexp(super().log_prob(t, points), other)
+
+        def sample(self, n, t, rng):
+            draws = super().sample(n, t, rng)
+            draws[:, ::2] += [0, 60]
+            return draws
+
+    met = ExactRays(times=3, points=4000)([TwoSpots(CAMERAS[0], 6.0), Spot(CAMERAS[1], 6.0)], CAMERAS)
+    assert np.abs(centred(met) - point(met.grid)).max() < 0.012  # the moments alone are 30 px, or 5 cm, off
+
+
+def test_the_information_form_is_the_weighted_least_squares_solution():
+    rng, t = np.random.default_rng(0), np.linspace(0, 1, 4)
+    R = [np.array([[4.0, 1], [1, 9]]), np.eye(2), np.diag([100.0, 1])]
+    means = [camera.project(point(t)) + rng.multivariate_normal([0, 0], C, 4) for camera, C in zip(THREE, R)]
+    X, information = information_form([(m, np.tile(C, (4, 1, 1))) for m, C in zip(means, R)], THREE)
+    cost = lambda x: sum(np.einsum("ta,ab,tb->t", m - c.project(x), np.linalg.inv(C), m - c.project(x)) for m, c, C in zip(means, THREE, R))
+    for step in 1e-4 * np.vstack([np.eye(3), -np.eye(3)]):
+        assert (cost(X + step) > cost(X)).all()
+    h = 1e-3
+    curvature = (cost(X + [h, 0, 0]) - 2 * cost(X) + cost(X - [h, 0, 0])) / (2 * h**2)
+    assert np.allclose(information[:, 0, 0], curvature, rtol=0.05)
+
+
+def test_points_behind_a_camera_do_not_count():
+    behind = Camera(CAMERAS[1].K, look_at(2 * CAMERAS[1].centre - TARGET, 4 * CAMERAS[1].centre), 640, 480)
+    met = ExactRays(times=3)([Spot(CAMERAS[0]), Spot(CAMERAS[1])], [CAMERAS[0], behind])
+    assert np.isfinite(met.points).all() and (met.counts <= 128).all()

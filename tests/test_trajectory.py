@@ -1,4 +1,5 @@
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ from hypothesis import strategies as st
 from scene.camera import Camera, look_at
 from teach.basis import Periodic, SquaredExponential
 from teach.sketch import Event, Sketch, Stroke
-from teach.trajectory import Skill, TrajectoryDistribution
+from teach.trajectory import Route, Skill, TrajectoryDistribution
 
 T = np.linspace(0, 1, 21)
 
@@ -46,9 +47,11 @@ def test_conditioning_is_the_closed_form():
     d, x, R = distribution(), np.array([0.3, 0.2, 0.1]), 0.01 * np.eye(3)
     H, S = d.features([0.3]), d.covariance
     K = S @ H.T @ np.linalg.inv(H @ S @ H.T + R)
-    c = d.condition(0.3, x, R)
+    c = d.condition(0.3, x, R, local=False)
     assert np.allclose(c.mean.ravel(), d.mean.ravel() + K @ (x - H @ d.mean.ravel()))
     assert np.allclose(c.covariance, S - K @ H @ S)
+    near = d.sample(1, [0.3], np.random.default_rng(0))[0, 0]  # what the distribution explains needs no bump
+    assert np.array_equal(d.condition(0.3, near).mean, d.condition(0.3, near, local=False).mean)
 
 
 @settings(max_examples=25, deadline=None)
@@ -61,7 +64,19 @@ def test_conditioned_start_via_and_goal_are_met_exactly_even_by_a_singular_covar
     assert np.abs(c.mean_at(t) - x).max() < 1e-8
     rounding = np.sqrt(np.finfo(float).eps * np.linalg.eigvalsh(d.covariance).max())  # of a deviation, as S is what is stored
     assert np.abs(c.sample(20, t, rng) - x).max() < max(1e-7, 4 * rounding)
-    assert np.linalg.eigvalsh(c.covariance).min() > -1e-9 * scale**2
+    assert np.linalg.eigvalsh(c.covariance).min() > -max(1e-9 * scale**2, 1e-13)
+
+
+@pytest.mark.parametrize("basis", [SquaredExponential(20, 50.0), Periodic(20)])
+def test_a_start_far_away_moves_the_start_and_not_the_rest(basis):
+    wide = np.ones((20, 20)) / 400 + 0.2 * np.eye(20)  # strokes that start high end high
+    d = TrajectoryDistribution(basis, np.zeros((20, 3)), 1e-4 * np.kron(wide, np.eye(3)))
+    t, away = np.linspace(0, 1, 101), np.array([0.06, 0, 0.08])
+    moved = np.linalg.norm(d.condition(0, away).mean_at(t), axis=1)
+    rest = slice(20, 81 if basis.period else None)
+    assert moved[0] == pytest.approx(0.1, abs=1e-6) and moved[rest].max() < 0.01
+    steps = [np.linalg.norm(d.condition(0, away * k).mean_at(0.5)) for k in np.linspace(0, 1, 30)]
+    assert np.abs(np.diff(steps)).max() < 0.002  # no jump where a point becomes unlikely
 
 
 def test_an_ill_conditioned_covariance_is_met_one_after_the_other_too():
@@ -185,3 +200,21 @@ def test_a_skill_of_an_unknown_basis_or_version_is_refused_in_a_line(tmp_path, v
     with pytest.raises(ValueError, match=f"not a skill file .*{wrong}") as error:
         Skill.load(tmp_path / "skill.npz")
     assert "\n" not in str(error.value)
+
+
+def test_the_ways_of_a_skill_are_kept_and_all_start_where_they_are_told(tmp_path):
+    d = distribution()
+    other = d.condition(0.5, [0.1, 0.2, 0.3])
+    skill = Skill(d, 2.0, routes=(Route(0.75, d), Route(0.25, other)), conditioning="first_weight")
+    skill.save(tmp_path / "skill.npz")
+    loaded = Skill.load(tmp_path / "skill.npz")
+    assert [way.share for way in loaded.ways] == [0.75, 0.25] and loaded.conditioning == "first_weight"
+    assert np.array_equal(loaded.ways[1].distribution.covariance, other.covariance)
+    start = np.array([0.3, 0.1, 0.2])
+    for one in (loaded, replace(loaded, conditioning="gaussian")):
+        for way in one.starting_at(start):
+            assert np.abs(way.distribution.sample(3, [0.0], np.random.default_rng(0)) - start).max() < 1e-6
+    assert np.array_equal(loaded.starting_at(start)[0].distribution.mean, d.with_first_weight(start).mean)
+    assert [way.share for way in Skill(d, 1.0).ways] == [1.0]
+    with pytest.raises(ValueError, match="gaussian"):
+        Skill(d, 1.0, conditioning="wild")
