@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from threadpoolctl import threadpool_limits
 
 from teach.align import common_times, oriented, resample
 from teach.basis import SquaredExponential
@@ -32,6 +33,20 @@ POINTS = 100
 """Points at even times by which a stroke is represented while fitting."""
 
 
+@contextmanager
+def _one_thread():
+    """numpy and torch on one thread, and as before afterwards: matrices and flows are so small that a second thread only
+    waits for the first, and for a core that is free."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        with threadpool_limits(1):
+            yield
+    finally:
+        torch.set_num_threads(threads)
+
+
+@_one_thread()
 def fit(
     sketches: Sequence[Sketch],
     *,
@@ -149,15 +164,14 @@ def _from_rays(drawn, common, parts, weights: _Weights, seed: int, seen):
     density, raytrace = parts
     cameras = [sketch.camera for sketch in drawn]
     strokes = _at_even_times(drawn, times)
-    with _one_thread():
-        densities = [
-            density.fit(view, (camera.width, camera.height), seed=seed + number)
-            for number, (view, camera) in enumerate(zip(strokes, cameras, strict=True))
-        ]
-        met = raytrace(densities, cameras, seed=seed)
-        if seen is not None:
-            for sketch, p in zip(drawn, densities, strict=True):
-                seen(sketch, p)
+    densities = [
+        density.fit(view, (camera.width, camera.height), seed=seed + number)
+        for number, (view, camera) in enumerate(zip(strokes, cameras, strict=True))
+    ]
+    met = raytrace(densities, cameras, seed=seed)
+    if seen is not None:
+        for sketch, p in zip(drawn, densities, strict=True):
+            seen(sketch, p)
     basis = weights.basis
     mean, grid, variance = _mean(basis, met, weights.smoothness)
     observations = _observations(basis, mean, strokes, cameras)
@@ -183,18 +197,6 @@ def _at_even_times(drawn, times) -> list[np.ndarray]:
         np.stack([resample(stroke, at, POINTS) for stroke, at in zip(sketch.motions, view, strict=True)])
         for sketch, view in zip(drawn, times, strict=True)
     ]
-
-
-@contextmanager
-def _one_thread():
-    """torch on one thread, and as before afterwards: the flows are so small that a second thread only waits for the
-    first."""
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(threads)
 
 
 def _mean(basis, met: Intersections, smoothness: float):
@@ -223,10 +225,15 @@ def _observations(basis, mean, strokes, cameras) -> list[tuple[np.ndarray, np.nd
 
 
 def _events(drawn, times, duration: float) -> tuple[Event, ...]:
-    """Median over strokes of the time [s] at which each event was marked, on the skill's clock."""
-    marked: dict[str, list[float]] = {}
+    """Median over strokes of the time [s] at which each event was marked, on the skill's clock, in order of time; what a
+    stroke marks twice happens twice."""
+    marked: dict[tuple[str, int], list[float]] = {}
     for sketch, view in zip(drawn, times, strict=True):
         for stroke, at in zip(sketch.motions, view, strict=True):
-            for event in stroke.events:
-                marked.setdefault(event.name, []).append(float(np.interp(event.time, stroke.times, at)))
-    return tuple(Event(name, duration * float(np.median(times))) for name, times in marked.items())
+            often: dict[str, int] = {}
+            for event in sorted(stroke.events, key=lambda event: event.time):
+                often[event.name] = often.get(event.name, 0) + 1
+                time = float(np.interp(event.time, stroke.times, at))
+                marked.setdefault((event.name, often[event.name]), []).append(time)
+    found = [Event(name, duration * float(np.median(at))) for (name, _), at in marked.items()]
+    return tuple(sorted(found, key=lambda event: event.time))

@@ -131,6 +131,15 @@ def test_an_outline_that_bounds_no_region_is_refused_before_anything_is_learned(
         fit([replace(first, strokes=(*first.strokes, outline)), second], density=None, raytrace=lambda *_: 1 / 0)
 
 
+def test_what_is_marked_twice_on_a_stroke_happens_twice():
+    drawn, (a, b) = sketches(), sketches()[0].strokes[:2]
+    pauses = [(Event("pause", 0.6), Event("gripper_close", 1.5), Event("pause", 2.4)), (Event("pause", 0.7), Event("pause", 2.3))]
+    marked = tuple(Stroke(stroke.points, 3 * S, events=events) for stroke, events in zip((a, b), pauses))
+    skill = fit([Sketch("v0", CAMERAS[0], marked), drawn[1]], density=Flow(steps=20))
+    assert [event.name for event in skill.events] == ["pause", "gripper_close", "pause"]
+    assert skill.events[0].time < 1.2 and skill.events[2].time > 1.8
+
+
 def test_warnings_are_sentences_about_what_was_drawn():
     first, second = sketches()
     cropped = Camera(first.camera.K, first.camera.world_from_camera, 320, 480)
