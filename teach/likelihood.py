@@ -119,7 +119,7 @@ def fit_coherent(observations, prior, strength: float, steps: int = 30) -> np.nd
     return S
 
 
-def mean_uncertainty(observations, S, vague: float = 1.0, noise: float = 1.0) -> np.ndarray:
+def mean_uncertainty(observations, S, vague: float = 4.0, noise: float = 1.0) -> np.ndarray:
     """(3M, 3M) [m^2]: how uncertain the mean of the weights is, after the means of n strokes in each view.
 
     Each view's mean stroke has the covariance (H S H^T + noise I) / n; before, the mean is N(., vague S). observations:

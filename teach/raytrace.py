@@ -46,8 +46,8 @@ class ExactRays:
     """
 
     times: int = 50
-    points: int = 128
-    draws: int = 128
+    points: int = 512
+    draws: int = 1000
     widen: float = 1.3
 
     def __call__(self, densities, cameras: Sequence[Camera], *, seed: int = 0) -> Intersections:

@@ -131,8 +131,8 @@ def test_the_mean_is_the_better_known_the_more_strokes_there_are():
 
 
 def test_the_uncertainty_of_the_mean_is_the_posterior_in_closed_form():
-    """With what is seen of all weights directly: (S^-1 + n (S + I)^-1)^-1 of each view."""
+    """With what is seen of all weights directly: ((4 S)^-1 + n (S + I)^-1)^-1 of all n strokes."""
     S = np.diag(np.linspace(1, 2, 6))
     H = np.eye(6)
     found = mean_uncertainty([(H, np.zeros((4, 6))), (H, np.zeros((2, 6)))], S)
-    assert np.allclose(found, np.linalg.inv(np.linalg.inv(S) + 6 * np.linalg.inv(S + np.eye(6))))
+    assert np.allclose(found, np.linalg.inv(np.linalg.inv(4 * S) + 6 * np.linalg.inv(S + np.eye(6))))

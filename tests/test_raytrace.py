@@ -104,7 +104,7 @@ THREE = [*CAMERAS, Camera.from_fov(look_at((1.2, 0.1, 1.2), TARGET), 640, 480, 5
 def test_exact_rays_meet_at_the_known_point_with_any_number_of_views(cameras):
     met = ExactRays(times=7)([Spot(camera) for camera in cameras], cameras)
     assert np.abs(centred(met) - point(met.grid)).max() < 2e-3
-    assert met.counts.min() == 128 and met.weights.max() == 1
+    assert met.counts.min() == 512 and met.weights.max() == 1
 
 
 @pytest.mark.parametrize("spread", [0.3, 3.0, 12.0])
@@ -150,4 +150,4 @@ def test_the_information_form_is_the_weighted_least_squares_solution():
 def test_points_behind_a_camera_do_not_count():
     behind = Camera(CAMERAS[1].K, look_at(2 * CAMERAS[1].centre - TARGET, 4 * CAMERAS[1].centre), 640, 480)
     met = ExactRays(times=3)([Spot(CAMERAS[0]), Spot(CAMERAS[1])], [CAMERAS[0], behind])
-    assert np.isfinite(met.points).all() and (met.counts <= 128).all()
+    assert np.isfinite(met.points).all() and (met.counts <= 512).all()

@@ -129,7 +129,7 @@ def main() -> None:
         print(f"\n{mode:8}" + "".join(f"{name:>8}" for name in COLUMNS))
         rows["mean"] = [row for each in rows.values() for row in each]
         for title, each in rows.items():
-            print(f"{title:8}" + "".join(f"{value:8.2f}" for value in np.mean(each, axis=0)))
+            print(f"{title:8}" + "".join(f"{value:8.3f}" for value in np.mean(each, axis=0)))
 
 
 if __name__ == "__main__":
