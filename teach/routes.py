@@ -39,8 +39,9 @@ EVERY, MODES = 4, 6
 """Of the COUNT points of a stroke, each so many-th is looked at; of a hand's faults the largest so many of each axis."""
 ENUMERATED = 8
 """Up to so many strokes all groupings are tried; of more those of a hierarchical clustering and their neighbours."""
-SURE = 3.0
-"""Log evidence from which on a matching of groups is clear: 20 to 1."""
+SURE = 40.0
+"""Log evidence from which on a matching of groups is clear. The hand is only a model: of 20 scripted pairs of routes wrong
+matchings had up to 33 more than right ones, and right ones up to 170 more than wrong ones."""
 
 
 def split(sketches: Sequence[Sketch]) -> tuple[list[list[Sketch]], list[str]]:

@@ -141,6 +141,8 @@ def _learn(drawn, common, parts, weights: _Weights, depths, offset: float, seed:
 def _from_rays(drawn, common, parts, weights: _Weights, seed: int, seen):
     """The distribution and the report of a motion drawn on two or more views."""
     left_out, sentences = contradictions(drawn, common.agree, common.off)
+    for k in common.rivals:
+        sentences.append(f"It may be the sketch on view {drawn[k].view} instead: draw both of them again, or add a view.")
     drawn, times = zip(*[(s, t) for s, t, ok in zip(drawn, common.times, common.agree, strict=True) if ok], strict=True)
     density, raytrace = parts
     cameras = [sketch.camera for sketch in drawn]
