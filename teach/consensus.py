@@ -17,6 +17,7 @@ from jaxtyping import Bool, Float
 
 from teach.bundle import BENDS, COUNT, LAGS, Bundle, ViewedStroke, adjust, solve, starts
 from teach.epipolar import at, lag_behind
+from teach.sketch import SketchError
 
 SURE = 20.0
 """Log evidence that leaving a view out has to gain. Honest views lose 17 to 130, contradicting ones gain 50 to 1800."""
@@ -25,6 +26,8 @@ TREMBLING = 0.01
 ANYWHERE, ANYHOW, LENGTH = 0.3, 0.5, 0.25
 """Of a stroke that shows any curve: the deviation of its place [of the picture's width] and of its points [of its
 extent], and their correlation length in arc length."""
+DOT = 0.02
+"""A drawing smaller than this share of the picture's width is a dot."""
 ALL_PAIRS = 4
 """Up to so many views all pairs are tried; of more, each view and the one whose view crosses its own best."""
 MOST, LAG = 8.0, 0.12
@@ -43,7 +46,34 @@ class Consensus:
 
 
 def consensus(views: Sequence[ViewedStroke], robust: bool = True) -> Consensus:
-    """The motion that the views agree on. robust: False keeps all views, whatever they say."""
+    """The motion that the views agree on. robust: False keeps all views, whatever they say. Raises SketchError if they put
+    none in front of their cameras."""
+    near_from_world = _near(views)
+    near = [replace(view, camera=view.camera.moved(near_from_world)) for view in views]
+    try:
+        found = _consensus(near, robust)
+    except (np.linalg.LinAlgError, ValueError):
+        found = None
+    if found is None or not np.isfinite(found.bundle.points).all():
+        raise SketchError("the views put no one motion in front of their cameras: check that each sketch belongs to its "
+                          "picture, and draw the one that does not once more")
+    world_from_near = np.linalg.inv(near_from_world)
+    points = found.bundle.points @ world_from_near[:3, :3].T + world_from_near[:3, 3]
+    return replace(found, bundle=replace(found.bundle, points=points))
+
+
+def _near(views) -> np.ndarray:
+    """(4, 4) similarity that puts the cameras around the origin, about 1 from it, however far off and large the world
+    is."""
+    centres = np.stack([view.camera.centre for view in views])
+    middle = centres.mean(axis=0)
+    size = max(float(np.linalg.norm(centres - middle, axis=1).mean()), 1e-9)
+    near_from_world = np.diag([1 / size, 1 / size, 1 / size, 1.0])
+    near_from_world[:3, 3] = -middle / size
+    return near_from_world
+
+
+def _consensus(views, robust: bool) -> Consensus:
     agree, rivals = np.ones(len(views), dtype=bool), ()
     while robust and agree.sum() > 2:
         kept = np.flatnonzero(agree)
@@ -66,6 +96,8 @@ def _contradicting(views) -> tuple[int | None, list[int]]:
     gains = np.array([
         _evidence(views, tuple(i for i in everyone if i != k), pairs) + any_curve[k] for k in everyone
     ])  # fmt: skip
+    dots = [np.ptp(view.mean, axis=0).max() < DOT * view.camera.width for view in views]
+    gains[dots] = -np.inf  # a motion straight at the camera: its arc length is trembling, which contradicts nothing
     out = int(np.argmax(gains))
     if not np.isfinite(gains[out]) or gains[out] - together < SURE:
         return None, []
@@ -158,4 +190,5 @@ def miss(view: ViewedStroke, points, lag) -> float:
 def _judged(views, bundle, agree, rivals) -> Consensus:
     given = iter(bundle.lags)
     lags = [next(given) if ok else _lag(view, bundle.points) for view, ok in zip(views, agree, strict=True)]
-    return Consensus(bundle, agree, np.array([miss(v, bundle.points, l) for v, l in zip(views, lags, strict=True)]), rivals)
+    off = np.array([miss(view, bundle.points, lag) for view, lag in zip(views, lags, strict=True)])
+    return Consensus(bundle, agree, off, rivals)
