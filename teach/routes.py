@@ -44,6 +44,7 @@ SURE = 40.0
 matchings had up to 33 more than right ones, and right ones up to 170 more than wrong ones."""
 
 LEAST = -1e6
+"""Log evidence of strokes that show no curve in front of both cameras."""
 
 
 def split(sketches: Sequence[Sketch]) -> tuple[list[list[Sketch]], list[str]]:

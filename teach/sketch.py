@@ -149,11 +149,6 @@ def check(sketches: Sequence[Sketch], surfaces: Collection[str] = ()) -> None:
         for number, stroke in enumerate(sketch.motions):
             if stroke.length <= 0:
                 raise SketchError(f"stroke {number} on view {sketch.view!r} does not move: remove it or draw it again")
-        if not any(sketch.camera.contains(stroke.at(np.linspace(0, 1, 200))).any() for stroke in sketch.motions):
-            raise SketchError(
-                f"all that is drawn on view {sketch.view!r} lies outside its {sketch.camera.width}x{sketch.camera.height} "
-                "picture: draw it on the picture, or give the camera of the picture that it was drawn on"
-            )
     names = sorted({sketch.view for sketch in drawn})
     if not drawn:
         raise SketchError("the motion is drawn on no view: depth needs strokes on two views from different sides")
@@ -174,6 +169,12 @@ def check(sketches: Sequence[Sketch], surfaces: Collection[str] = ()) -> None:
             f"the rays of views {a.view!r} and {b.view!r} never cross well: {angle:.2g} degrees (at least "
             f"{MIN_RAY_ANGLE_DEG:g} are needed), cameras {baseline:.3g} m apart; sketch on a view from another side"
         )
+    for sketch in drawn:
+        if not any(sketch.camera.contains(stroke.at(np.linspace(0, 1, 200))).any() for stroke in sketch.motions):
+            raise SketchError(
+                f"all that is drawn on view {sketch.view!r} lies outside its {sketch.camera.width}x{sketch.camera.height} "
+                "picture: draw it on the picture, or give the camera of the picture that it was drawn on"
+            )
 
 
 def without_slips(sketches: Sequence[Sketch]) -> tuple[list[Sketch], list[str]]:

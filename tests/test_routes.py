@@ -52,31 +52,35 @@ def test_all_groupings_are_tried_once(count, groups, number):
 
 
 def test_two_ways_round_an_obstacle_are_told_apart_on_both_views():
-    assert grouped(two_ways(1)) == [[[0, 1, 2], [3, 4, 5]]] * 2
+    assert grouped(two_ways(0)) == [[[0, 1, 2], [3, 4, 5]]] * 2
 
 
 def test_the_order_of_drawing_does_not_change_the_groups():
-    drawn = two_ways(1, ([0, 3, 1, 4, 2, 5], [5, 0, 4, 1, 3, 2]))
+    drawn = two_ways(0, ([0, 3, 1, 4, 2, 5], [5, 0, 4, 1, 3, 2]))
     assert grouped(drawn) == [[[0, 2, 4], [1, 3, 5]], [[0, 2, 4], [1, 3, 5]]]
 
 
 def test_ways_drawn_in_opposite_order_on_two_views_are_matched_by_where_they_meet():
-    straight, crossed = two_ways(1), two_ways(1, (range(6), [3, 4, 5, 0, 1, 2]))
+    straight, crossed = two_ways(0), two_ways(0, (range(6), [3, 4, 5, 0, 1, 2]))
     ways, notes = split(crossed)
     assert notes == [] and len(ways) == 2
     same = {tuple(stroke.points[0, 0] for sketch in way for stroke in sketch.motions) for way in split(straight)[0]}
     assert same == {tuple(stroke.points[0, 0] for sketch in way for stroke in sketch.motions) for way in ways}
 
 
-def test_where_views_cannot_tell_the_order_is_taken_and_said():
-    drawn = two_ways(1)
-    drawn = [drawn[0], replace(drawn[0], view="v1")]  # one camera twice: every matching meets
-    numbered = [replace(s, strokes=tuple(replace(stroke, demonstration=0) for stroke in s.strokes)) for s in drawn]
-    for sketches in (drawn, numbered):
-        ways, notes = split(sketches)
-        if notes:
-            assert "order of drawing was taken" in notes[0]
-        assert len(ways) == 2
+def test_where_views_cannot_tell_the_order_is_taken_and_said_unless_demonstrations_are_numbered(monkeypatch):
+    monkeypatch.setattr("teach.routes.SURE", 1e9)
+    crossed = two_ways(0, (range(6), [3, 4, 5, 0, 1, 2]))
+    ways, notes = split(crossed)
+    assert "order of drawing was taken" in notes[0]
+    assert ways[0][1].motions == crossed[1].strokes[:3]
+    numbers = ([1, 1, 1, 2, 2, 2], [2, 2, 2, 1, 1, 1])
+    numbered = [
+        replace(sketch, strokes=tuple(replace(stroke, demonstration=n) for stroke, n in zip(sketch.strokes, view)))
+        for sketch, view in zip(crossed, numbers)
+    ]
+    ways, notes = split(numbered)
+    assert notes == [] and ways[0][1].motions == numbered[1].strokes[3:]
 
 
 @pytest.mark.parametrize("person", [PERSON, hand.scaled(PERSON, 2)])
@@ -85,19 +89,17 @@ def test_repetitions_of_one_way_are_one_route(person, count):
     assert all(len(grouped([one_way(seed, person, count)])[0]) == 1 for seed in range(5))
 
 
-def test_more_strokes_than_can_be_enumerated_are_grouped_too():
-    left, right = two_ways(1)[0].strokes[:3], two_ways(1)[0].strokes[3:]
-    wobble = lambda stroke, k: replace(stroke, points=stroke.points + [k, -k])
-    many = [wobble(stroke, k) for k in (-2, 0, 2) for stroke in (*left, *right)]
-    (groups,) = grouped([replace(two_ways(1)[0], strokes=tuple(many))])
-    assert groups == [[k for k in range(18) if k % 6 < 3], [k for k in range(18) if k % 6 >= 3]]
+def test_clustering_finds_the_groups_that_trying_all_finds(monkeypatch):
+    drawn = two_ways(0)
+    monkeypatch.setattr("teach.routes.ENUMERATED", 0)
+    assert grouped(drawn) == [[[0, 1, 2], [3, 4, 5]]] * 2
 
 
-def test_a_single_stroke_that_goes_astray_on_one_view_is_left_out_and_said():
-    a, b = two_ways(1)
-    astray = replace(a, strokes=(*a.strokes[:3], replace(a.strokes[4], points=a.strokes[4].points * [1, -1] + [0, 480])))
-    ways, notes = split([astray, replace(b, strokes=b.strokes[:3])])
-    assert len(ways) == 1 and len(ways[0][0].motions) == 3
+def test_a_single_stroke_that_goes_astray_on_one_view_is_left_out_and_said(monkeypatch):
+    monkeypatch.setattr("teach.routes.grouped", lambda _: [[[0, 1, 2], [3]], [[0, 1, 2, 3, 4, 5]]])
+    drawn = two_ways(0)
+    (way,), notes = split([replace(drawn[0], strokes=drawn[0].strokes[:4]), drawn[1]])
+    assert way[0].motions == drawn[0].strokes[:3] and len(way[1].motions) == 6
     assert "Stroke 4 on view v0 goes another way" in notes[0]
 
 
