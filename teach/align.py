@@ -30,11 +30,13 @@ SMOOTHING, SLOWEST = 0.05, 4.0
 @dataclass(frozen=True, eq=False)
 class CommonTime:
     """times: for each motion stroke of each sketch those of its points (N,), not decreasing, in [0, 1]. agree: (V,),
-    which views draw the same motion. off: (V,) [px], how far each is from it; nan where nobody looked."""
+    which views draw the same motion. off: (V,) [px], how far each is from it; nan where nobody looked. rivals: views that
+    may contradict instead of one that does not agree."""
 
     times: list[list[np.ndarray]]
     agree: Bool[np.ndarray, " V"]
     off: Float[np.ndarray, " V"]
+    rivals: tuple[int, ...] = ()
 
 
 def common_times(sketches: Sequence[Sketch], time: str = "aligned", speed: str = "drawn", robust: bool = True) -> CommonTime:
@@ -44,19 +46,19 @@ def common_times(sketches: Sequence[Sketch], time: str = "aligned", speed: str =
         raise ValueError(f"time is one of {', '.join(COMMON)}, not {time!r}")
     if speed not in SPEEDS:
         raise ValueError(f"speed is one of {', '.join(SPEEDS)}, not {speed!r}")
-    everyone, unknown = np.ones(len(sketches), dtype=bool), np.full(len(sketches), np.nan)
+    everyone, unknown, rivals = np.ones(len(sketches), dtype=bool), np.full(len(sketches), np.nan), ()
     if time == "drawn":
         return CommonTime([[drawn(stroke) for stroke in sketch.motions] for sketch in sketches], everyone, unknown)
     moments = [[arc_length(stroke) for stroke in sketch.motions] for sketch in sketches]
     length = np.linspace(0, 1, COUNT)
     if time == "aligned" and len(sketches) > 1:
         found = consensus([viewed(sketch, along) for sketch, along in zip(sketches, moments, strict=True)], robust)
-        everyone, unknown = found.agree, found.off
+        everyone, unknown, rivals = found.agree, found.off, found.rivals
         moments = _moments(moments, found)
         length = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(found.bundle.points, axis=0), axis=1))])
     u = np.linspace(0, 1, COUNT)
     t = length / length[-1] if speed == "uniform" else speed_profile(sketches, moments)
-    return CommonTime([[np.interp(moment, u, t) for moment in view] for view in moments], everyone, unknown)
+    return CommonTime([[np.interp(moment, u, t) for moment in view] for view in moments], everyone, unknown, rivals)
 
 
 def viewed(sketch: Sketch, along) -> ViewedStroke:

@@ -62,7 +62,7 @@ class ViewedStroke:
         if count > 1:
             seen = ((strokes - mean) ** 2).sum() / (count - 1)
             faults = faults * ((count - 1) * seen / np.trace(faults, axis1=1, axis2=2).sum() + 1) / count
-        trembling = max(2 * ((mean - smooth) ** 2).mean(), (TREMBLING * np.ptp(smooth, axis=0).max()) ** 2)
+        trembling = max(2 * ((mean - smooth) ** 2).mean(), (TREMBLING * np.ptp(smooth, axis=0).max()) ** 2, 0.01)
         return cls(camera, smooth, faults / count + trembling * np.eye(COUNT))
 
     @property

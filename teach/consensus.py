@@ -1,63 +1,178 @@
-"""Which views draw the same motion: consensus by the pair of views that most others agree with (after RANSAC).
+"""Which views draw the same motion: the views are kept that, taken as one curve, explain what was drawn best.
 
-A pair always meets somewhere along its epipolar lines; what it says is put to the test in the other views. A view
-disagrees where its mean stroke misses the motion of the others by more than people's hands do.
+    log p(strokes | S) = log p(strokes of S | one curve) + sum over the others of log p(stroke | any curve)
+
+S are the views kept. Two views nearly always meet somewhere along their epipolar lines, so with three of them that one
+misses the curve of the other two says little of which it is: how well each pair meets does, and how its curve bends and
+its lags have to run, which is what the evidence of teach.bundle weighs. Views are left out one by one while that gains
+more than SURE. Curves are begun from those of pairs of views (after RANSAC, Fischler and Bolles 1981).
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-from teach.bundle import COUNT, LAGS, BENDS, Bundle, ViewedStroke, adjust, solve, starts
+from teach.bundle import BENDS, COUNT, LAGS, Bundle, ViewedStroke, adjust, solve, starts
 from teach.epipolar import at, lag_behind
+from teach.sketch import SketchError
 
-DISAGREES = 4.0
-"""RMS miss over the RMS fault of a hand from which a view contradicts the others."""
-LAG = 0.12
+SURE = 20.0
+"""Log evidence that leaving a view out has to gain. Honest views lose 17 to 130, contradicting ones gain 50 to 1800."""
+TREMBLING = 0.01
+"""Deviation of what is not smooth, of the drawing's extent: the evidence must not hang on a hand's least faults."""
+ANYWHERE, ANYHOW, LENGTH = 0.3, 0.5, 0.25
+"""Of a stroke that shows any curve: the deviation of its place [of the picture's width] and of its points [of its
+extent], and their correlation length in arc length."""
+DOT = 0.02
+"""A drawing smaller than this share of the picture's width is a dot."""
+ALL_PAIRS = 4
+"""Up to so many views all pairs are tried; of more, each view and the one whose view crosses its own best."""
+MOST, LAG = 8.0, 0.12
+"""A miss beyond so many times a hand's fault counts no more, where pairs are compared; size of the lag there."""
 
 
 @dataclass(frozen=True, eq=False)
 class Consensus:
     """bundle: of the views that agree, in their order. agree: (V,). off: (V,) [px], RMS miss of each view's mean stroke
-    from the motion of those that agree."""
+    from the motion of those that agree. rivals: views that may contradict instead of one that was left out."""
 
     bundle: Bundle
     agree: Bool[np.ndarray, " V"]
     off: Float[np.ndarray, " V"]
+    rivals: tuple[int, ...] = ()
 
 
 def consensus(views: Sequence[ViewedStroke], robust: bool = True) -> Consensus:
-    """The motion that the most views agree on. robust: False keeps all views, whatever they say."""
-    if len(views) == 2:
-        return _judged(views, adjust(views), np.array([True, True]))
-    tests = [_tested(views, pair) for pair in _pairs(views)]
-    lags, misses = min(tests, key=lambda test: np.minimum(test[1], DISAGREES).sum())
-    agree = misses < DISAGREES if robust else np.ones(len(views), dtype=bool)
-    agree[np.argsort(misses)[:2]] = True
-    bundle = adjust([view for view, ok in zip(views, agree, strict=True) if ok], lags[agree])
-    return _judged(views, bundle, agree)
+    """The motion that the views agree on. robust: False keeps all views, whatever they say. Raises SketchError if they put
+    none in front of their cameras."""
+    near_from_world = _near(views)
+    near = [replace(view, camera=view.camera.moved(near_from_world)) for view in views]
+    try:
+        found = _consensus(near, robust)
+    except (np.linalg.LinAlgError, ValueError):
+        found = None
+    if found is None or not np.isfinite(found.bundle.points).all():
+        raise SketchError("the views put no one motion in front of their cameras: check that each sketch belongs to its "
+                          "picture, and draw the one that does not once more")
+    world_from_near = np.linalg.inv(near_from_world)
+    points = found.bundle.points @ world_from_near[:3, :3].T + world_from_near[:3, 3]
+    return replace(found, bundle=replace(found.bundle, points=points))
+
+
+def _near(views) -> np.ndarray:
+    """(4, 4) similarity that puts the cameras around the origin, about 1 from it, however far off and large the world
+    is."""
+    centres = np.stack([view.camera.centre for view in views])
+    middle = centres.mean(axis=0)
+    size = max(float(np.linalg.norm(centres - middle, axis=1).mean()), 1e-9)
+    near_from_world = np.diag([1 / size, 1 / size, 1 / size, 1.0])
+    near_from_world[:3, 3] = -middle / size
+    return near_from_world
+
+
+def _consensus(views, robust: bool) -> Consensus:
+    agree, rivals = np.ones(len(views), dtype=bool), ()
+    while robust and agree.sum() > 2:
+        kept = np.flatnonzero(agree)
+        out, others = _contradicting([views[k] for k in kept])
+        if out is None:
+            break
+        agree[kept[out]], rivals = False, (*rivals, *(int(kept[k]) for k in others))
+    left = [view for view, ok in zip(views, agree, strict=True) if ok]
+    bundle = adjust(left, _begun(left)) if len(left) > 2 else adjust(left)
+    return _judged(views, bundle, agree, tuple(k for k in rivals if agree[k]))
+
+
+def _contradicting(views) -> tuple[int | None, list[int]]:
+    """The view without which the others explain what was drawn best, None if none; and others nearly as likely."""
+    views = [_trembling(view) for view in views]
+    any_curve = [anything(view) for view in views]
+    pairs = _curves(views)
+    everyone = tuple(range(len(views)))
+    together = _evidence(views, everyone, pairs)
+    gains = np.array([
+        _evidence(views, tuple(i for i in everyone if i != k), pairs) + any_curve[k] for k in everyone
+    ])  # fmt: skip
+    dots = [np.ptp(view.mean, axis=0).max() < DOT * view.camera.width for view in views]
+    gains[dots] = -np.inf  # a motion straight at the camera: its arc length is trembling, which contradicts nothing
+    out = int(np.argmax(gains))
+    if not np.isfinite(gains[out]) or gains[out] - together < SURE:
+        return None, []
+    return out, [k for k in everyone if k != out and gains[k] > gains[out] - SURE]
+
+
+def _trembling(view: ViewedStroke) -> ViewedStroke:
+    extent = max(float(np.ptp(view.mean, axis=0).max()), 1.0)
+    return replace(view, faults=view.faults + (TREMBLING * extent) ** 2 * np.eye(COUNT))
+
+
+def anything(view: ViewedStroke) -> float:
+    """log p(stroke | any curve): a smooth one of its extent, anywhere on the picture."""
+    u, size = np.linspace(0, 1, COUNT), (view.camera.width, view.camera.height)
+    shape = (ANYHOW * np.ptp(view.mean, axis=0).max()) ** 2 * np.exp(-((u[:, None] - u) ** 2) / (2 * LENGTH**2))
+    total = 0.0
+    for axis, faults in enumerate(view.faults):
+        root = np.linalg.cholesky(faults + shape + (ANYWHERE * view.camera.width) ** 2)
+        white = np.linalg.solve(root, view.mean[:, axis] - size[axis] / 2)
+        total -= np.log(np.diag(root)).sum() + 0.5 * white @ white
+    return float(total)
+
+
+def _curves(views) -> dict[tuple[int, int], Bundle]:
+    """The most probable curve of each pair of views to begin from; of those that have one."""
+    found = {}
+    for pair in _pairs(views):
+        two = [views[k] for k in pair]
+        tried = [bundle for lags in starts(*two)[::2] if (bundle := _solved(two, lags)) is not None]
+        if tried:
+            found[pair] = max(tried, key=lambda bundle: bundle.evidence)
+    return found
 
 
 def _pairs(views) -> list[tuple[int, int]]:
-    """For each view the partner whose view crosses its own best."""
+    everyone = range(len(views))
+    if len(views) <= ALL_PAIRS:
+        return list(combinations(everyone, 2))
     forward = np.stack([view.camera.rays(view.mean.mean(axis=0))[1] for view in views])
-    across = np.abs(np.linalg.norm(np.cross(forward[:, None], forward[None]), axis=-1))
-    return sorted({tuple(sorted((i, int(across[i].argmax())))) for i in range(len(views))}) or [(0, 1)]
+    across = np.linalg.norm(np.cross(forward[:, None], forward[None]), axis=-1)
+    return sorted({tuple(sorted((k, int(across[k].argmax())))) for k in everyone} | {(k, k + 1) for k in everyone[:-1]})
 
 
-def _tested(views, pair) -> tuple[np.ndarray, np.ndarray]:
-    """The lags (V, COUNT) of all views given the curve of a pair of them, and each one's miss over its fault (V,)."""
-    two = [views[i] for i in pair]
-    tried = [solve(two, lags, LAGS[1], BENDS[2]) for lags in starts(*two)]
-    bundle = max(tried, key=lambda bundle: bundle.evidence)
-    lags, misses = np.zeros((len(views), COUNT)), np.zeros(len(views))
-    for i, view in enumerate(views):
-        lag = bundle.lags[pair.index(i)] if i in pair else _lag(view, bundle.points)
-        lags[i], misses[i] = lag, miss(view, bundle.points, lag) / view.sigma
-    return lags, misses
+def _evidence(views, kept, pairs) -> float:
+    """log p(strokes of the views kept | one curve); -inf if there is none in front of all of them."""
+    if len(kept) == 2 and kept in pairs:
+        return pairs[kept].evidence
+    inside = [pair for pair in pairs if set(pair) <= set(kept)]
+    begun = sorted((_begin(views, kept, pair, pairs[pair]) for pair in inside), key=lambda one: one[0])[:2]
+    tried = [_solved([views[k] for k in kept], lags) for _, lags in begun]
+    return max((bundle.evidence for bundle in tried if bundle is not None), default=-np.inf)
+
+
+def _begin(views, kept, pair, bundle: Bundle) -> tuple[float, np.ndarray]:
+    """The misses of the views kept, over their faults, from a pair's curve, and their lags (K, COUNT)."""
+    lags = [bundle.lags[pair.index(k)] if k in pair else _lag(views[k], bundle.points) for k in kept]
+    misses = [miss(views[k], bundle.points, lag) / views[k].sigma for k, lag in zip(kept, lags, strict=True)]
+    return float(np.minimum(misses, MOST).sum()), np.stack(lags)
+
+
+def _begun(views) -> np.ndarray:
+    """Lags (V, COUNT) from which to adjust all views."""
+    pairs, everyone = _curves(views), tuple(range(len(views)))
+    if not pairs:
+        return np.zeros((len(views), COUNT))
+    return min((_begin(views, everyone, *item) for item in pairs.items()), key=lambda one: one[0])[1]
+
+
+def _solved(views, lags) -> Bundle | None:
+    """The curve; None where it runs behind a camera."""
+    try:
+        bundle = solve(views, lags, LAGS[1], BENDS[2])
+    except (np.linalg.LinAlgError, ValueError):
+        return None
+    return bundle if np.isfinite(bundle.evidence) and np.isfinite(bundle.points).all() else None
 
 
 def _lag(view: ViewedStroke, points) -> np.ndarray:
@@ -72,7 +187,8 @@ def miss(view: ViewedStroke, points, lag) -> float:
     return float(np.sqrt((off**2).mean())) if np.isfinite(off).all() else np.inf
 
 
-def _judged(views, bundle, agree) -> Consensus:
+def _judged(views, bundle, agree, rivals) -> Consensus:
     given = iter(bundle.lags)
     lags = [next(given) if ok else _lag(view, bundle.points) for view, ok in zip(views, agree, strict=True)]
-    return Consensus(bundle, agree, np.array([miss(v, bundle.points, l) for v, l in zip(views, lags, strict=True)]))
+    off = np.array([miss(view, bundle.points, lag) for view, lag in zip(views, lags, strict=True)])
+    return Consensus(bundle, agree, off, rivals)

@@ -25,7 +25,7 @@ from teach.periodic import unrolled
 from teach.quality import TIMES, contradictions, quality, warnings
 from teach.raytrace import ExactRays, Intersections
 from teach.routes import split
-from teach.sketch import Event, Sketch, SketchError, check
+from teach.sketch import Event, Sketch, SketchError, check, without_slips
 from teach.surface import fit_surface
 from teach.trajectory import Route, Skill, TrajectoryDistribution
 
@@ -92,7 +92,8 @@ def fit(
     basis = basis.wrapped() if turns and not basis.period else basis
     check(sketches, surfaces=depths or ())
     regions = visual_hull(sketches)  # outlines that bound nothing are refused before anything is learned
-    drawn, notes = oriented([sketch for sketch in sketches if sketch.motions])
+    drawn, slips = without_slips([sketch for sketch in sketches if sketch.motions])
+    drawn, notes = oriented(drawn)
     ways, questions = split(drawn) if routes else ([drawn], [])
     weights = _Weights(basis, covariance, predictive, smoothness, strength)
     learned = [
@@ -104,7 +105,7 @@ def fit(
     if len(ways) > 1:
         questions.append(f"The strokes go {len(ways)} different ways; each is kept, and planning chooses among them.")
         report["routes"] = [one.report["sentence"] for one in learned]
-    report["warnings"] = notes + questions + [w for w in dict.fromkeys(w for one in learned for w in one.report["warnings"])]
+    report["warnings"] = slips + notes + questions + [w for w in dict.fromkeys(w for one in learned for w in one.report["warnings"])]
     report |= {"turns": turns} if turns else {}
     report["keep_out"] = {region.name: 1e3 * region.volume for region in regions}  # litres
     report["seconds"] = clock.perf_counter() - started
@@ -160,6 +161,8 @@ def _learn(drawn, common, parts, weights: _Weights, depths, offset: float, seed:
 def _from_rays(drawn, common, parts, weights: _Weights, seed: int, seen):
     """The distribution and the report of a motion drawn on two or more views."""
     left_out, sentences = contradictions(drawn, common.agree, common.off)
+    for k in common.rivals:
+        sentences.append(f"It may be the sketch on view {drawn[k].view} instead: draw both of them again, or add a view.")
     drawn, times = zip(*[(s, t) for s, t, ok in zip(drawn, common.times, common.agree, strict=True) if ok], strict=True)
     density, raytrace = parts
     cameras = [sketch.camera for sketch in drawn]
@@ -174,6 +177,7 @@ def _from_rays(drawn, common, parts, weights: _Weights, seed: int, seen):
             seen(sketch, p)
     basis = weights.basis
     mean, grid, variance = _mean(basis, met, weights.smoothness)
+    _require_in_front(basis(TIMES) @ mean, drawn)
     observations = _observations(basis, mean, strokes, cameras)
     S = fit_coherent(observations, hand_prior(basis, mean, weights.smoothness), weights.strength)
     open_ = mean_uncertainty(observations, S)
@@ -186,9 +190,19 @@ def _from_rays(drawn, common, parts, weights: _Weights, seed: int, seen):
     report = quality(drawn, strokes, distribution, uncertainty)
     report["intersections"] = met.counts.tolist()
     report["noise"] = {sketch.view: density.noise for sketch, density in zip(drawn, densities, strict=True)}
-    report["contradicting"] = left_out
+    report["contradicting"] = {view: miss if np.isfinite(miss) else None for view, miss in left_out.items()}
     report["warnings"] = sentences + warnings(drawn, report["reprojection_px"], report["ray_angle_deg"], met.counts)
     return distribution, report
+
+
+def _require_in_front(points, drawn) -> None:
+    """Raise SketchError unless all cameras see the points (T, 3) [m]."""
+    for sketch in drawn:
+        if not np.isfinite(sketch.camera.project(points)).all():
+            raise SketchError(
+                f"the rays of the views meet behind the camera of view {sketch.view!r}: its sketch or its camera belongs "
+                "to another picture; draw it again"
+            )
 
 
 def _at_even_times(drawn, times) -> list[np.ndarray]:

@@ -13,7 +13,7 @@ What it does not name is refused: a file is understood whole, or the error gives
 
 import json
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
 
@@ -28,6 +28,10 @@ MAX_BYTES = 64 * 2**20
 MAX_PIXEL = 1e6
 MIN_RAY_ANGLE_DEG = 3.0
 """Below this angle a pixel of error along the stroke moves the point 20 pixels in depth: rays do not cross well."""
+
+
+DOT, SHORT_PX = 0.1, 5.0
+"""A stroke shorter than this share of its view's others is a slip of the pen; a drawing of fewer pixels may be one."""
 
 
 class SketchError(ValueError):
@@ -165,6 +169,29 @@ def check(sketches: Sequence[Sketch], surfaces: Collection[str] = ()) -> None:
             f"the rays of views {a.view!r} and {b.view!r} never cross well: {angle:.2g} degrees (at least "
             f"{MIN_RAY_ANGLE_DEG:g} are needed), cameras {baseline:.3g} m apart; sketch on a view from another side"
         )
+    for sketch in drawn:
+        if not any(sketch.camera.contains(stroke.at(np.linspace(0, 1, 200))).any() for stroke in sketch.motions):
+            raise SketchError(
+                f"all that is drawn on view {sketch.view!r} lies outside its {sketch.camera.width}x{sketch.camera.height} "
+                "picture: draw it on the picture, or give the camera of the picture that it was drawn on"
+            )
+
+
+def without_slips(sketches: Sequence[Sketch]) -> tuple[list[Sketch], list[str]]:
+    """The sketches without motion strokes that are but dots beside the others of their view, and sentences on these and on
+    views whose drawing is hardly longer than a dot."""
+    kept, notes = [], []
+    for sketch in sketches:
+        extents = np.array([float(np.ptp(stroke.points, axis=0).max()) for stroke in sketch.motions])
+        slips = extents < DOT * np.median(extents) if len(extents) > 2 else extents < DOT * np.max(extents, initial=0.0)
+        notes += [f"Stroke {k + 1} on view {sketch.view} is only {extents[k]:.0f} px long, a slip of the pen; it is left out."
+                  for k in np.flatnonzero(slips)]  # fmt: skip
+        if len(extents) and extents.max() < SHORT_PX:
+            notes.append(f"What is drawn on view {sketch.view} is only {extents.max():.0f} px long: unless the motion runs "
+                         "straight at that camera, draw it again.")  # fmt: skip
+        left = iter(~slips)
+        kept.append(replace(sketch, strokes=tuple(s for s in sketch.strokes if s.kind != "motion" or next(left))))
+    return kept, notes
 
 
 def ray_angle(a: Sketch, b: Sketch, count: int = 20) -> float:
