@@ -14,9 +14,10 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.ndimage import gaussian_filter1d
 
-from teach.bundle import COUNT, ViewedStroke
+from teach.bundle import BASIS, COUNT, Bundle, ViewedStroke
 from teach.consensus import consensus
 from teach.epipolar import fundamental, lag_between
+from teach.likelihood import projection
 from teach.sketch import Event, Sketch, SketchError, Stroke
 
 COMMON = ("aligned", "arc_length", "drawn")
@@ -31,12 +32,25 @@ SMOOTHING, SLOWEST = 0.05, 4.0
 class CommonTime:
     """times: for each motion stroke of each sketch those of its points (N,), not decreasing, in [0, 1]. agree: (V,),
     which views draw the same motion. off: (V,) [px], how far each is from it; nan where nobody looked. rivals: views that
-    may contradict instead of one that does not agree."""
+    may contradict instead of one that does not agree. bundle: what "aligned" found. time: (COUNT,), of its moments."""
 
     times: list[list[np.ndarray]]
     agree: Bool[np.ndarray, " V"]
     off: Float[np.ndarray, " V"]
     rivals: tuple[int, ...] = ()
+    bundle: Bundle | None = None
+    time: Float[np.ndarray, " N"] | None = None
+
+    def uncertainty(self, basis, smoothness: float) -> np.ndarray:
+        """(3M, 3M) [m^2] covariance of the mean's weights in ``basis``, as far as "aligned" leaves the curve open across its
+        own direction: along it, moments would only be named otherwise."""
+        tangent = np.gradient(self.bundle.points, axis=0)
+        tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-300)
+        across = np.eye(3) - tangent[:, :, None] * tangent[:, None]
+        P = projection(basis, self.time, np.gradient(self.time), smoothness)
+        G = np.einsum("it,tab,tj->iajb", P, across, BASIS(np.linspace(0, 1, COUNT)), optimize=True)
+        G = G.reshape(3 * len(P), -1)
+        return G @ self.bundle.covariance @ G.T
 
 
 def common_times(sketches: Sequence[Sketch], time: str = "aligned", speed: str = "drawn", robust: bool = True) -> CommonTime:
@@ -46,19 +60,19 @@ def common_times(sketches: Sequence[Sketch], time: str = "aligned", speed: str =
         raise ValueError(f"time is one of {', '.join(COMMON)}, not {time!r}")
     if speed not in SPEEDS:
         raise ValueError(f"speed is one of {', '.join(SPEEDS)}, not {speed!r}")
-    everyone, unknown, rivals = np.ones(len(sketches), dtype=bool), np.full(len(sketches), np.nan), ()
+    everyone, unknown, more = np.ones(len(sketches), dtype=bool), np.full(len(sketches), np.nan), {}
     if time == "drawn":
         return CommonTime([[drawn(stroke) for stroke in sketch.motions] for sketch in sketches], everyone, unknown)
     moments = [[arc_length(stroke) for stroke in sketch.motions] for sketch in sketches]
     length = np.linspace(0, 1, COUNT)
     if time == "aligned" and len(sketches) > 1:
         found = consensus([viewed(sketch, along) for sketch, along in zip(sketches, moments, strict=True)], robust)
-        everyone, unknown, rivals = found.agree, found.off, found.rivals
+        everyone, unknown, more = found.agree, found.off, {"rivals": found.rivals, "bundle": found.bundle}
         moments = _moments(moments, found)
         length = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(found.bundle.points, axis=0), axis=1))])
     u = np.linspace(0, 1, COUNT)
     t = length / length[-1] if speed == "uniform" else speed_profile(sketches, moments)
-    return CommonTime([[np.interp(moment, u, t) for moment in view] for view in moments], everyone, unknown, rivals)
+    return CommonTime([[np.interp(moment, u, t) for moment in view] for view in moments], everyone, unknown, time=t, **more)
 
 
 def viewed(sketch: Sketch, along) -> ViewedStroke:

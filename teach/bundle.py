@@ -73,11 +73,13 @@ class ViewedStroke:
 
 @dataclass(frozen=True, eq=False)
 class Bundle:
-    """points: (COUNT, 3) [m], the curve at even u. lags: (V, COUNT). evidence: log p(strokes | lag, bend)."""
+    """points: (COUNT, 3) [m], the curve at even u. lags: (V, COUNT). evidence: log p(strokes | lag, bend). covariance:
+    (3M, 3M) [m^2], of the curve's weights in BASIS, basis-major: what strokes and lags leave open."""
 
     points: Float[np.ndarray, "N 3"]
     lags: Float[np.ndarray, "V N"]
     evidence: float
+    covariance: Float[np.ndarray, "3*M 3*M"]
 
 
 def hand_faults(stroke) -> np.ndarray:
@@ -99,7 +101,10 @@ def adjust(views: Sequence[ViewedStroke], start=None) -> Bundle:
     bend = max(bends, key=lambda bend: bends[bend].evidence)
     exact = [replace(view, faults=EXACT * view.faults) for view in views]
     tried = [(views, lag) for lag in LAGS] + [(exact, lag) for lag in LAGS[1:]]
-    return max((solve(seen, bends[bend].lags, lag, bend) for seen, lag in tried), key=lambda bundle: bundle.evidence)
+    solved = [(solve(seen, bends[bend].lags, lag, bend), lag) for seen, lag in tried]
+    best, lag = max(solved, key=lambda option: option[0].evidence)
+    # However well the strokes meet, the hand may have strayed in all of them
+    return replace(best, covariance=solve(views, best.lags, lag, bend, steps=0).covariance)
 
 
 def starts(a: ViewedStroke, b: ViewedStroke) -> list[np.ndarray]:
@@ -115,16 +120,16 @@ def solve(views: Sequence[ViewedStroke], lags, lag: float, bend: float, steps: i
     w, lags = problem.start(lags), np.asarray(lags, dtype=float)
     cost, damping = problem.cost(w, lags), 1.0
     for _ in range(steps):
-        w_new, lags_new, evidence = problem.step(w, lags)
+        w_new, lags_new, evidence, covariance = problem.step(w, lags)
         while (gain := cost - problem.cost(w + damping * (w_new - w), lags + damping * (lags_new - lags))) <= 0:
             damping /= 2
             if damping < 0.02:
-                return Bundle(problem.Phi @ w.reshape(-1, 3), lags, evidence)
+                return Bundle(problem.Phi @ w.reshape(-1, 3), lags, evidence, covariance)
         w, lags, cost = w + damping * (w_new - w), lags + damping * (lags_new - lags), cost - gain
         damping = min(1.0, 2 * damping)
         if gain < 1e-2:
             break
-    return Bundle(problem.Phi @ w.reshape(-1, 3), lags, problem.step(w, lags)[2])
+    return Bundle(problem.Phi @ w.reshape(-1, 3), lags, *problem.step(w, lags)[2:])
 
 
 class _Problem:
@@ -160,7 +165,7 @@ class _Problem:
         return float(total)
 
     def step(self, w, lags):
-        """The minimiser (w, lags) of the linearised objective, and the log evidence there."""
+        """The minimiser (w, lags) of the linearised objective, the log evidence there, and the covariance of w."""
         A, b, log_evidence, parts = self.Q.copy(), np.zeros(len(w)), 0.0, []
         x, h = self.Phi @ w.reshape(-1, 3), 1 / COUNT
         for view, lag, r in zip(self.views, lags, self.residuals(w, lags), strict=True):
@@ -176,7 +181,8 @@ class _Problem:
         factor = cho_factor(A)
         w = cho_solve(factor, b)
         log_evidence += 0.5 * b @ w + 0.5 * np.linalg.slogdet(self.Q)[1] - np.log(np.diag(factor[0])).sum()
-        return w, np.stack([self._lag(w, *part) for part in parts]), float(log_evidence)
+        lags = np.stack([self._lag(w, *part) for part in parts])
+        return w, lags, float(log_evidence), cho_solve(factor, np.eye(len(w)))
 
     def _spread(self, faults, g):
         """(2 COUNT, 2 COUNT) covariance E + g L g^T [px^2] of a view's stroke around the curve's projection."""

@@ -59,7 +59,8 @@ def consensus(views: Sequence[ViewedStroke], robust: bool = True) -> Consensus:
                           "picture, and draw the one that does not once more")
     world_from_near = np.linalg.inv(near_from_world)
     points = found.bundle.points @ world_from_near[:3, :3].T + world_from_near[:3, 3]
-    return replace(found, bundle=replace(found.bundle, points=points))
+    covariance = found.bundle.covariance * np.linalg.det(world_from_near[:3, :3]) ** (2 / 3)
+    return replace(found, bundle=replace(found.bundle, points=points, covariance=covariance))
 
 
 def _near(views) -> np.ndarray:

@@ -180,7 +180,7 @@ def _from_rays(drawn, common, parts, weights: _Weights, seed: int, seen):
     _require_in_front(basis(TIMES) @ mean, drawn)
     observations = _observations(basis, mean, strokes, cameras)
     S = fit_coherent(observations, hand_prior(basis, mean, weights.smoothness), weights.strength)
-    open_ = mean_uncertainty(observations, S)
+    open_ = common.uncertainty(basis, weights.smoothness) if common.bundle else mean_uncertainty(observations, S)
     if weights.covariance == "diagonal":
         S = np.diag(fit_diagonal(basis, grid, variance).ravel())
     elif weights.predictive:
