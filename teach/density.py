@@ -131,9 +131,9 @@ class JointDensity:
 class JointFlow:
     """The paper's flow over (t, x, y) jointly: affine couplings (RealNVP, Dinh et al. 2017) of standardised inputs.
 
-    The authors' public code trains 5000 steps at a constant learning rate of 3e-4, 512 wide, to the end (schedule
-    "constant", patience None: teach/density=joint_flow_authors). A narrower net at a high rate that goes to zero
-    reaches the same likelihood of points between those trained on in a seventh of the time; these are the defaults.
+    The authors' public code trains 5000 steps at a constant learning rate of 3e-4, 512 wide (schedule "constant":
+    teach/density=joint_flow_authors). Half as wide, at a higher rate that goes to zero, it is as good after 1500; these
+    are the defaults. A still higher likelihood does no good: a density finer than its grid escapes Algorithm 1.
 
     hidden: width of the one hidden layer. transforms: couplings. steps: most training steps (one sees every point).
     noise: standard deviation of the noise injected into (t, x, y) in [0, 1]. learning_rate: of Adam, its highest.
@@ -142,14 +142,14 @@ class JointFlow:
     are trained on and the last is kept. points: along a stroke. batch: points a training step sees.
     """
 
-    hidden: int = 128
+    hidden: int = 256
     transforms: int = 8
     steps: int = 1500
     noise: float = 0.001
-    learning_rate: float = 5e-3
+    learning_rate: float = 2e-3
     weight_decay: float = 5e-5
     schedule: str = "one_cycle"
-    patience: int | None = 400
+    patience: int | None = None
     points: int = 100
     batch: int = 10_000
 

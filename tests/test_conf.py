@@ -84,7 +84,8 @@ def test_one_option_chooses_all_of_the_papers_method(config):
 
 
 def test_parts_given_on_the_command_line_win_over_the_papers(config):
-    settings, chosen = taught(config("teach/rptl=paper", "teach/density=flow", "teach/raytrace=exact", "teach.rptl.time=aligned"))
+    given = ("teach/density=flow", "teach/raytrace=exact", "teach.rptl.time=aligned")
+    settings, chosen = taught(config("teach/rptl=paper", *given))
     assert (chosen["density"], chosen["raytrace"], settings["rptl"]["time"]) == ("flow", "exact", "aligned")
 
 

@@ -112,7 +112,7 @@ def test_the_joint_flow_stops_when_the_held_out_likelihood_no_longer_rises(count
 
 
 def test_the_authors_schedule_takes_all_its_steps_at_one_rate(counted):
-    JointFlow(hidden=8, transforms=2, steps=60, learning_rate=3e-4, schedule="constant", patience=None).fit(strokes(), SIZE)
+    JointFlow(hidden=8, transforms=2, steps=60, learning_rate=3e-4, schedule="constant").fit(strokes(), SIZE)
     assert counted == [3e-4] * 60
 
 

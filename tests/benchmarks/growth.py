@@ -86,7 +86,8 @@ def main() -> None:
         ran = subprocess.run(command, capture_output=True, text=True)
         if ran.returncode:
             sys.exit(ran.stderr)
-        print("".join(f"{value:8d}" for value in case) + "{:8.1f}{:8.2f}{:8.1f}".format(*map(float, ran.stdout.split())), flush=True)
+        seconds, memory, error = map(float, ran.stdout.split())
+        print("".join(f"{value:8d}" for value in case) + f"{seconds:8.1f}{memory:8.2f}{error:8.1f}", flush=True)
 
 
 if __name__ == "__main__":

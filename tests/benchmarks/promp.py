@@ -24,11 +24,12 @@ WEIGHTS = 20
 
 
 class Imitated:
-    """A ProMP with the methods of TrajectoryDistribution that are scored. demonstrations: (n, T, 3) [m] at even times."""
+    """A ProMP with those methods of TrajectoryDistribution that are scored. demonstrations: (n, N, 3) [m]."""
 
     def __init__(self, demonstrations):
         self.promp = ProMP(n_dims=3, n_weights_per_dim=WEIGHTS)
-        self.promp.imitate(np.tile(np.linspace(0, 1, demonstrations.shape[1]), (len(demonstrations), 1)), demonstrations)
+        times = np.tile(np.linspace(0, 1, demonstrations.shape[1]), (len(demonstrations), 1))
+        self.promp.imitate(times, demonstrations)
 
     def mean_at(self, t) -> np.ndarray:
         return self.promp.mean_trajectory(t)
