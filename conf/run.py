@@ -56,9 +56,10 @@ def _groups() -> str:
     root = Path(__file__).parent
     options: dict[str, list[str]] = {}
     for path in sorted(root.rglob("*.yaml")):
-        group = path.parent.relative_to(root).as_posix()
+        name = path.relative_to(root).with_suffix("").as_posix()
+        group = "experiment" if name.startswith("experiment/") else path.parent.relative_to(root).as_posix()
         if group != "." and not group.startswith("hydra"):
-            options.setdefault(group, []).append(path.stem)
+            options.setdefault(group, []).append(name.removeprefix(f"{group}/"))
     return "\n".join(f"{group}: {', '.join(names)}" for group, names in options.items())
 
 

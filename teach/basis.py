@@ -1,7 +1,7 @@
 """Basis functions: the features of time of which a trajectory is a weighted sum.
 
 Notation
-    xi(t) = W^T Phi(t)      Phi(t) = [phi_1(t), ..., phi_M(t)]^T     M basis functions of normalised time t in [0, 1]
+    xi(t) = W^T Phi(t)      Phi(t) = [phi_1(t), ..., phi_M(t)]^T     M basis functions of normalised time t; eq. (4)
 
 A basis says its ``period``: None, or the time after which all that it expresses repeats.
 """
@@ -13,7 +13,7 @@ import numpy as np
 
 @dataclass(frozen=True)
 class SquaredExponential:
-    """phi_i(t) = exp(-gamma (t - t_i)^2), centres t_i evenly in [0, 1] (Zhi et al. 2023, Section IV-B; not normalised).
+    """phi_i(t) = exp(-gamma (t - t_i)^2), centres t_i evenly in [0, 1] (Zhi et al. 2023, eq. (5); not normalised).
 
     count: M, the number of functions. gamma: sharpness [1 / time^2], smaller is smoother; the width is 1 / sqrt(2
     gamma).

@@ -3,7 +3,7 @@
 Notation
     (t_n, X_n, a_n)      points X_n [m] where rays meet at time t_n, and their weights a_n
     M (M, 3)             mean of the weights; Lambda (M, 3) their variances where they are taken as independent
-    p(xi | t) = N(M^T Phi(t), Diag(Lambda^T Phi(t)^2))
+    p(xi | t) = N(M^T Phi(t), Diag(Lambda^T Phi(t)^2))      eq. (9), of the independent weights of eq. (6)
     r_i = H_v d_i + e    a stroke's residual in view v [px]: d_i ~ N(0, S) its own deviation in weights, H_v the
                          camera's Jacobian times Psi(t)^T, e ~ N(0, sigma^2 I) what the basis does not express
 
@@ -52,12 +52,14 @@ def moments_over_time(times, points, weights, grid):
 
 
 def fit_mean(basis, t, mean, seen, smoothness: float) -> np.ndarray:
-    """M (M, 3): least squares over the times that were seen; the penalty bridges the others."""
+    """M (M, 3) of eq. (9): least squares over the times that were seen, which the authors iterate; the penalty bridges
+    the others."""
     return projection(basis, t[seen], np.ones(seen.sum()), smoothness) @ mean[seen]
 
 
 def fit_diagonal(basis, t, squares, steps: int = 2000) -> np.ndarray:
-    """Lambda (M, 3) >= 0 [m^2], the most likely given mean squared deviations (T, 3) [m^2] from the mean at times t.
+    """Lambda (M, 3) >= 0 [m^2] of eq. (9), the most likely given mean squared deviations (T, 3) [m^2] from the mean at
+    times t.
 
     Multiplicative updates of the Itakura-Saito divergence (Fevotte et al. 2009): each step raises the likelihood
     sum_t log N(squares(t); variance(t) = Lambda^T Phi(t)^2). The same Phi^2 spreads samples, so they spread as fitted.

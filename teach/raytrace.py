@@ -1,9 +1,9 @@
 """Where rays of high density meet: the paper's Algorithm 1 (Zhi et al. 2023, Section IV-B), and its exact form.
 
 Notation
-    f_r(d, x, y) = o + d omega(x, y)    the ray through pixel (x, y): o the camera's centre, omega a unit vector, d [m]
+    f_r(d, x, y) = o + d omega(x, y)    the ray through pixel (x, y): o the camera's centre, omega of length 1; eq. (7)
     p_j(t)                              density of a pixel of view j at time t over the highest at that time: in [0, 1]
-    R_j(t) = {f_r(d, x, y) : d_near <= d <= d_far, p_j(t) >= epsilon}
+    R_j(t) = {f_r(d, x, y) : d_near <= d <= d_far, p_j(t) >= epsilon}           eq. (8)
     S = {(t, X)}                          points X where R_1(t) and R_2(t) come closer than delta; each weighs p_1 p_2
     p(X | t) ~ prod_v p_v(pi_v(X) | t)    exact: rays of zero width meet at X with the product of their densities
     Sigma^-1 = sum_v J_v^T R_v^-1 J_v     information of the views at X: J_v Jacobian of pi_v, R_v [px^2] of the density

@@ -1,7 +1,7 @@
 """A Gaussian distribution over continuous trajectories, and the skill that holds it.
 
 Notation (Zhi et al. 2023, Section IV-B; Paraschos et al. 2013)
-    xi(t) = W^T Phi(t)                  position [m] at normalised time t in [0, 1]; W (M, 3) weights [m]
+    xi(t) = W^T Phi(t)                  position [m] at normalised time t in [0, 1]; W (M, 3) weights [m]; eq. (4)
     w = W.ravel() ~ N(m, S)             basis-major: w[3 i + axis] = W[i, axis]; S (3M, 3M) [m^2]
     Psi(t) = Phi(t) kron I_3            (3M, 3), so that xi(t) = Psi(t)^T w
 """
@@ -137,8 +137,8 @@ class TrajectoryDistribution:
         return free @ (free.T @ D @ free) @ free.T
 
     def with_first_weight(self, x) -> "TrajectoryDistribution":
-        """The paper's way to start at x (3,) [m]: every sample keeps W_2: and alters W_1 so that xi(0) = x (Section
-        IV-C).
+        """The paper's way to start at x (3,) [m]: every sample keeps W_2: and alters W_1 so that xi(0) = x, eq.
+        (10).
 
         Only the first bump of the basis moves; ``condition(0, x)`` moves all that is correlated with the start.
         """

@@ -32,7 +32,7 @@ def targets(node):
 
 @pytest.mark.parametrize("option", OPTIONS)
 def test_every_option_composes_and_every_target_takes_its_settings(config, option):
-    group, name = option.rsplit("/", 1)
+    group, name = option.split("/", 1) if option.startswith("experiment/") else option.rsplit("/", 1)
     choice = f"{group}={name}"
     cfg = config(choice, *GIVEN.get(choice, []))
     for node in targets(OmegaConf.masked_copy(cfg, ["user", "scene", "teach", "robot", "world"])):
@@ -59,3 +59,63 @@ def test_settings_win_over_the_defaults_and_experiments_over_settings(config):
 
 def test_no_config_tells_the_robot_where_the_goal_is(config):
     assert "goal" not in OmegaConf.to_yaml(OmegaConf.masked_copy(config(), ["teach", "robot", "scene"]))
+
+
+STEPS = [path.stem for path in sorted((CONF / "experiment/ablation").glob("*.yaml"))]
+
+
+def taught(cfg):
+    """The settings of teach, and for each of its parts the option that was chosen."""
+    settings = OmegaConf.to_container(cfg.teach)
+    chosen = {part: cfg.hydra.runtime.choices[f"teach/{part}"] for part in ("density", "raytrace", "basis")}
+    return settings, chosen
+
+
+def test_one_option_chooses_all_of_the_papers_method(config):
+    settings, chosen = taught(config("teach/rptl=paper"))
+    assert chosen == {"density": "joint_flow", "raytrace": "authors", "basis": "squared_exponential"}
+    rptl = settings["rptl"]
+    assert (rptl["time"], rptl["covariance"], rptl["robust"], rptl["routes"], rptl["periodic"], rptl["predictive"]) == (
+        "drawn", "diagonal", False, False, False, False,
+    )  # fmt: skip
+    made = {part: instantiate(settings[part]) for part in chosen}
+    assert [type(one).__name__ for one in made.values()] == ["JointFlow", "Algorithm1", "SquaredExponential"]
+    assert (made["raytrace"].grid, made["raytrace"].samples, made["raytrace"].epsilon) == (100, 150, 0.25)
+
+
+def test_parts_given_on_the_command_line_win_over_the_papers(config):
+    given = ("teach/density=flow", "teach/raytrace=exact", "teach.rptl.time=aligned")
+    settings, chosen = taught(config("teach/rptl=paper", *given))
+    assert (chosen["density"], chosen["raytrace"], settings["rptl"]["time"]) == ("flow", "exact", "aligned")
+
+
+def test_the_authors_schedule_is_one_setting(config):
+    made = instantiate(config("teach/rptl=paper", "teach/density=joint_flow_authors").teach.density)
+    assert (made.steps, made.hidden, made.transforms, made.learning_rate, made.weight_decay, made.noise) == (
+        5000, 512, 8, 3e-4, 5e-5, 0.001,
+    )  # fmt: skip
+    assert made.patience is None and made.schedule == "constant"
+
+
+def test_the_ablation_sweeps_over_all_its_steps_in_order(config):
+    swept = config("experiment=ablation").hydra.sweeper.params
+    assert swept["+experiment/ablation"] == "glob(*)" and "seed" in swept
+    assert [int(step.split("_")[0]) for step in STEPS] == list(range(len(STEPS)))
+
+
+def test_the_ablation_goes_from_the_paper_to_the_default(config):
+    first, last = (config("experiment=ablation", f"+experiment/ablation={step}") for step in (STEPS[0], STEPS[-1]))
+    assert taught(first) == taught(config("teach/rptl=paper"))
+    assert taught(last) == taught(config())
+
+
+@pytest.mark.parametrize("before, after", list(zip(STEPS, STEPS[1:])))
+def test_each_step_of_the_ablation_is_the_one_before_and_one_setting(config, before, after):
+    (a, chosen_a), (b, chosen_b) = (taught(config(f"experiment=ablation/{step}")) for step in (before, after))
+    if after == STEPS[-1]:
+        assert chosen_a == chosen_b and a != b  # the option teach/rptl=default: robust, routes, periodic
+        return
+    rptl = [key for key in a["rptl"] | b["rptl"] if a["rptl"].get(key) != b["rptl"].get(key)]
+    parts = [part for part in chosen_a if chosen_a[part] != chosen_b[part]]
+    assert len(rptl + parts) == 1
+    assert all(a[part] == b[part] for part in chosen_a if part not in parts)

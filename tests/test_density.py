@@ -91,3 +91,37 @@ def test_a_density_over_the_picture_integrates_to_one():
     assert picture.shape == (30, 50)
     assert picture.sum() * 16 == pytest.approx(1, abs=1e-3)
     assert np.unravel_index(picture.argmax(), picture.shape) in {(14, 24), (14, 25), (15, 24), (15, 25)}
+
+
+@pytest.fixture
+def counted(monkeypatch):
+    """The learning rate of every step of Adam."""
+    import torch
+
+    rates, step = [], torch.optim.Adam.step
+    monkeypatch.setattr(
+        torch.optim.Adam, "step", lambda adam: (rates.append(adam.param_groups[0]["lr"]), step(adam))[1]
+    )
+    return rates
+
+
+def test_the_joint_flow_stops_when_the_held_out_likelihood_no_longer_rises(counted):
+    # weight_decay 0 and a vanishing rate: nothing is learned, so the first look stays the best but for roundoff
+    JointFlow(hidden=8, transforms=2, steps=300, learning_rate=1e-30, weight_decay=0, patience=30).fit(strokes(), SIZE)
+    assert len(counted) == 40
+
+
+def test_the_authors_schedule_takes_all_its_steps_at_one_rate(counted):
+    JointFlow(hidden=8, transforms=2, steps=60, learning_rate=3e-4, schedule="constant").fit(strokes(), SIZE)
+    assert counted == [3e-4] * 60
+
+
+def test_one_cycle_rises_to_the_learning_rate_and_ends_near_zero(counted):
+    JointFlow(hidden=8, transforms=2, steps=100, learning_rate=1e-2).fit(strokes(), SIZE)
+    assert max(counted) == pytest.approx(1e-2, rel=0.01) and 15 <= int(np.argmax(counted)) <= 25
+    assert counted[-1] < 1e-5
+
+
+def test_a_schedule_that_is_not_known_is_refused():
+    with pytest.raises(ValueError, match="one_cycle"):
+        JointFlow(schedule="warm").fit(strokes(), SIZE)

@@ -106,6 +106,38 @@ def _seen(camera, points, covariance) -> np.ndarray:
     return J @ covariance @ J.swapaxes(1, 2) + 1e-6 * np.eye(2)
 
 
+def fitter(overrides=()):
+    """fit(sketches, seed=) -> Skill with the settings that Hydra's overrides give."""
+    with initialize_config_module("conf", version_base=None):
+        cfg = compose("config", overrides=list(overrides))
+    parts = {part: instantiate(cfg.teach[part]) for part in ("density", "raytrace", "basis")}
+    return lambda sketches, seed: instantiate(cfg.teach.rptl)(sketches, seed=seed, **parts)
+
+
+def cases(protocol: str, mode: str, seeds: int, folder=None):
+    """What ``letters`` or ``scripted_motions`` yield; seeds 0: 5 for letters, 30 for scripted ones."""
+    if protocol == "letters":
+        return letters(Path(folder), mode, range(seeds or 5))
+    return scripted_motions(mode, range(seeds or 30))
+
+
+def mean_scores(fit, each) -> np.ndarray:
+    """The mean row of COLUMNS over cases, with a dot on stderr for each."""
+    rows = []
+    for _, seed, *case in each:
+        rows.append(scores(fit, seed, *case))
+        print(".", end="", file=sys.stderr, flush=True)
+    return np.mean(rows, axis=0)
+
+
+def heading(title: str, width: int = 8) -> str:
+    return f"{title:{width}}" + "".join(f"{name:>8}" for name in COLUMNS)
+
+
+def line(title: str, row, width: int = 8) -> str:
+    return f"{title:{width}}" + "".join(f"{value:8.3f}" for value in row)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("protocol", choices=("letters", "scripted"))
@@ -113,23 +145,16 @@ def main() -> None:
     parser.add_argument("--modes", nargs="+", default=["drawn", "own"])
     parser.add_argument("rest", nargs="*", help="the folder of letters; Hydra's overrides")
     args = parser.parse_args()
-    with initialize_config_module("conf", version_base=None):
-        cfg = compose("config", overrides=[x for x in args.rest if "=" in x])
-    parts = {part: instantiate(cfg.teach[part]) for part in ("density", "raytrace", "basis")}
-    fit = lambda sketches, seed: instantiate(cfg.teach.rptl)(sketches, seed=seed, **parts)
+    fit = fitter([x for x in args.rest if "=" in x])
     for mode in args.modes:
-        if args.protocol == "letters":
-            cases = letters(Path(args.rest[0]), mode, range(args.seeds or 5))
-        else:
-            cases = scripted_motions(mode, range(args.seeds or 30))
         rows: dict[str, list] = {}
-        for title, seed, *case in cases:
+        for title, seed, *case in cases(args.protocol, mode, args.seeds, args.rest[0] if args.rest else None):
             rows.setdefault(title, []).append(scores(fit, seed, *case))
             print(".", end="", file=sys.stderr, flush=True)
-        print(f"\n{mode:8}" + "".join(f"{name:>8}" for name in COLUMNS))
+        print("\n" + heading(mode))
         rows["mean"] = [row for each in rows.values() for row in each]
         for title, each in rows.items():
-            print(f"{title:8}" + "".join(f"{value:8.3f}" for value in np.mean(each, axis=0)))
+            print(line(title, np.mean(each, axis=0)))
 
 
 if __name__ == "__main__":

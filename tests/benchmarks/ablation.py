@@ -1,0 +1,40 @@
+"""What each improvement over the paper brings: the steps of conf/experiment/ablation, one row each.
+
+    python tests/benchmarks/ablation.py letters ../shared/data/strokes --seeds 2     # letters drawn by a person
+    python tests/benchmarks/ablation.py scripted --seeds 30 --modes own              # random motions, cameras and hands
+    python tests/benchmarks/ablation.py letters DIR --steps 0_paper 8_default teach/density=joint_flow_authors
+
+A row is the mean over all motions and seeds; columns are those of strokes.py. Hydra's overrides hold for every step.
+The same steps through the whole job, on the simulated scene: scene2skill -m experiment=ablation.
+"""
+
+import argparse
+from pathlib import Path
+
+from strokes import cases, fitter, heading, line, mean_scores
+
+import conf
+
+STEPS = sorted(path.stem for path in (Path(conf.__file__).parent / "experiment/ablation").glob("*.yaml"))
+WIDTH = max(map(len, STEPS)) + 2
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("protocol", choices=("letters", "scripted"))
+    parser.add_argument("--seeds", type=int, default=0, help="5 for letters, 30 for scripted")
+    parser.add_argument("--modes", nargs="+", default=["drawn", "own"])
+    parser.add_argument("--steps", nargs="+", default=STEPS, choices=STEPS)
+    parser.add_argument("rest", nargs="*", help="the folder of letters; Hydra's overrides")
+    args = parser.parse_intermixed_args()
+    overrides, folders = [x for x in args.rest if "=" in x], [x for x in args.rest if "=" not in x]
+    for mode in args.modes:
+        print(heading(mode, WIDTH), flush=True)
+        for step in args.steps:
+            fit = fitter([f"experiment=ablation/{step}", *overrides])
+            each = cases(args.protocol, mode, args.seeds, *folders)
+            print("\r" + line(step, mean_scores(fit, each), WIDTH), flush=True)
+
+
+if __name__ == "__main__":
+    main()
