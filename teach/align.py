@@ -47,10 +47,11 @@ class CommonTime:
         tangent = np.gradient(self.bundle.points, axis=0)
         tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-300)
         across = np.eye(3) - tangent[:, :, None] * tangent[:, None]
-        P = projection(basis, self.time, np.gradient(self.time), smoothness)
-        G = np.einsum("it,tab,tj->iajb", P, across, BASIS(np.linspace(0, 1, COUNT)), optimize=True)
-        G = G.reshape(3 * len(P), -1)
-        return G @ self.bundle.covariance @ G.T
+        Psi = np.kron(BASIS(np.linspace(0, 1, COUNT)), np.eye(3))
+        spread = np.einsum("tab,tbuc,udc->taud", across, (Psi @ self.bundle.covariance @ Psi.T).reshape(COUNT, 3, COUNT, 3), across,
+                           optimize=True).reshape(3 * COUNT, -1)  # fmt: skip
+        G = np.kron(projection(basis, self.time, np.gradient(self.time), smoothness), np.eye(3))
+        return G @ (spread + spread.T) @ G.T / 2
 
 
 def common_times(sketches: Sequence[Sketch], time: str = "aligned", speed: str = "drawn", robust: bool = True) -> CommonTime:

@@ -183,8 +183,9 @@ def _from_rays(drawn, common, parts, weights: _Weights, seed: int, seen):
     open_ = common.uncertainty(basis, weights.smoothness) if common.bundle else mean_uncertainty(observations, S)
     if weights.covariance == "diagonal":
         S = np.diag(fit_diagonal(basis, grid, variance).ravel())
-    elif weights.predictive:
-        S = S + open_
+    elif weights.predictive:  # a further stroke of few is Student's t: its covariance, and how open the mean is
+        freedom = weights.strength + sum(len(view) for view in strokes)
+        S = S * freedom / max(freedom - 2, 1) + open_
     distribution = TrajectoryDistribution(basis, mean, S)
     uncertainty = TrajectoryDistribution(basis, mean, open_).covariance_at(TIMES)
     report = quality(drawn, strokes, distribution, uncertainty)
