@@ -32,12 +32,13 @@ SMOOTHING, SLOWEST = 0.05, 4.0
 class CommonTime:
     """times: for each motion stroke of each sketch those of its points (N,), not decreasing, in [0, 1]. agree: (V,),
     which views draw the same motion. off: (V,) [px], how far each is from it; nan where nobody looked. rivals: views that
-    may contradict instead of one that does not agree. bundle: what "aligned" found. time: (COUNT,), of its moments."""
+    may contradict instead of one that does not agree. gain: log evidence that those that agree show one motion. bundle: what "aligned" found. time: (COUNT,), of its moments."""
 
     times: list[list[np.ndarray]]
     agree: Bool[np.ndarray, " V"]
     off: Float[np.ndarray, " V"]
     rivals: tuple[int, ...] = ()
+    gain: float = np.inf
     bundle: Bundle | None = None
     time: Float[np.ndarray, " N"] | None = None
 
@@ -68,7 +69,7 @@ def common_times(sketches: Sequence[Sketch], time: str = "aligned", speed: str =
     length = np.linspace(0, 1, COUNT)
     if time == "aligned" and len(sketches) > 1:
         found = consensus([viewed(sketch, along) for sketch, along in zip(sketches, moments, strict=True)], robust)
-        everyone, unknown, more = found.agree, found.off, {"rivals": found.rivals, "bundle": found.bundle}
+        everyone, unknown, more = found.agree, found.off, {name: getattr(found, name) for name in ("rivals", "gain", "bundle")}
         moments = _moments(moments, found)
         length = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(found.bundle.points, axis=0), axis=1))])
     u = np.linspace(0, 1, COUNT)

@@ -37,12 +37,14 @@ MOST, LAG = 8.0, 0.12
 @dataclass(frozen=True, eq=False)
 class Consensus:
     """bundle: of the views that agree, in their order. agree: (V,). off: (V,) [px], RMS miss of each view's mean stroke
-    from the motion of those that agree. rivals: views that may contradict instead of one that was left out."""
+    from the motion of those that agree. rivals: views that may contradict instead of one that was left out. gain: log
+    evidence that those that agree show one curve over that each shows any; negative: they had better be drawn again."""
 
     bundle: Bundle
     agree: Bool[np.ndarray, " V"]
     off: Float[np.ndarray, " V"]
     rivals: tuple[int, ...] = ()
+    gain: float = np.inf
 
 
 def consensus(views: Sequence[ViewedStroke], robust: bool = True) -> Consensus:
@@ -84,7 +86,10 @@ def _consensus(views, robust: bool) -> Consensus:
         agree[kept[out]], rivals = False, (*rivals, *(int(kept[k]) for k in others))
     left = [view for view, ok in zip(views, agree, strict=True) if ok]
     bundle = adjust(left, _begun(left)) if len(left) > 2 else adjust(left)
-    return _judged(views, bundle, agree, tuple(k for k in rivals if agree[k]))
+    plain = [_trembling(view) for view in left]
+    one = _solved(plain, bundle.lags)
+    gain = (one.evidence if one else -np.inf) - sum(anything(view) for view in plain)
+    return replace(_judged(views, bundle, agree, tuple(k for k in rivals if agree[k])), gain=float(gain))
 
 
 def _contradicting(views) -> tuple[int | None, list[int]]:
@@ -122,14 +127,26 @@ def anything(view: ViewedStroke) -> float:
     return float(total)
 
 
-def _curves(views) -> dict[tuple[int, int], Bundle]:
-    """The most probable curve of each pair of views to begin from; of those that have one."""
+@dataclass(frozen=True, eq=False)
+class _Begun:
+    """The most probable curve of a pair of views, and where all views are on it: lags (V, COUNT), misses over faults (V,)."""
+
+    bundle: Bundle
+    lags: np.ndarray
+    misses: np.ndarray
+
+
+def _curves(views) -> dict[tuple[int, int], _Begun]:
+    """For pairs of views the curve to begin from; of those that have one."""
     found = {}
     for pair in _pairs(views):
         two = [views[k] for k in pair]
         tried = [bundle for lags in starts(*two)[::2] if (bundle := _solved(two, lags)) is not None]
         if tried:
-            found[pair] = max(tried, key=lambda bundle: bundle.evidence)
+            best = max(tried, key=lambda bundle: bundle.evidence)
+            lags = [best.lags[pair.index(k)] if k in pair else _lag(view, best.points) for k, view in enumerate(views)]
+            misses = [miss(view, best.points, lag) / view.sigma for view, lag in zip(views, lags, strict=True)]
+            found[pair] = _Begun(best, np.stack(lags), np.minimum(misses, MOST))
     return found
 
 
@@ -145,26 +162,20 @@ def _pairs(views) -> list[tuple[int, int]]:
 def _evidence(views, kept, pairs) -> float:
     """log p(strokes of the views kept | one curve); -inf if there is none in front of all of them."""
     if len(kept) == 2 and kept in pairs:
-        return pairs[kept].evidence
+        return pairs[kept].bundle.evidence
     inside = [pair for pair in pairs if set(pair) <= set(kept)]
-    begun = sorted((_begin(views, kept, pair, pairs[pair]) for pair in inside), key=lambda one: one[0])[:2]
-    tried = [_solved([views[k] for k in kept], lags) for _, lags in begun]
+    rows = list(kept)
+    begun = sorted((pairs[pair] for pair in inside), key=lambda begun: begun.misses[rows].sum())[:2]
+    tried = [_solved([views[k] for k in kept], one.lags[rows]) for one in begun]
     return max((bundle.evidence for bundle in tried if bundle is not None), default=-np.inf)
-
-
-def _begin(views, kept, pair, bundle: Bundle) -> tuple[float, np.ndarray]:
-    """The misses of the views kept, over their faults, from a pair's curve, and their lags (K, COUNT)."""
-    lags = [bundle.lags[pair.index(k)] if k in pair else _lag(views[k], bundle.points) for k in kept]
-    misses = [miss(views[k], bundle.points, lag) / views[k].sigma for k, lag in zip(kept, lags, strict=True)]
-    return float(np.minimum(misses, MOST).sum()), np.stack(lags)
 
 
 def _begun(views) -> np.ndarray:
     """Lags (V, COUNT) from which to adjust all views."""
-    pairs, everyone = _curves(views), tuple(range(len(views)))
+    pairs = _curves(views)
     if not pairs:
         return np.zeros((len(views), COUNT))
-    return min((_begin(views, everyone, *item) for item in pairs.items()), key=lambda one: one[0])[1]
+    return min(pairs.values(), key=lambda begun: begun.misses.sum()).lags
 
 
 def _solved(views, lags) -> Bundle | None:

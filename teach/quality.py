@@ -15,6 +15,8 @@ from teach.sketch import Sketch, ray_angle
 TIMES = np.linspace(0, 1, 50)
 WEAK, LEAST = 1.6, 0.004
 """A stretch is weak where the mean is this many times as uncertain as on the median, and by at least this [m]."""
+LEVEL, LEVEL_DEG = 0.3, 10.0
+"""A motion is level with its cameras if more than this share of it is, to within this angle."""
 
 
 def quality(drawn: Sequence[Sketch], strokes, distribution, uncertainty) -> dict:
@@ -61,6 +63,7 @@ def _weak(drawn, x, doubt, axis) -> dict | None:
         first -= 1
     while last < len(bad) - 1 and bad[last + 1]:
         last += 1
+    first, last = max(first - 1, 0), min(last + 1, len(bad) - 1)
     here = slice(first, last + 1)
     seen = [np.linalg.norm(s.camera.jacobian(x[here]) @ axis[here, :, None], axis=1).mean() for s in drawn]
     best = drawn[int(np.argmax(seen))].view
@@ -75,9 +78,25 @@ def _sentence(doubt, weak) -> str:
             f"{weak['to']:.0%} of it: draw that part once more on view {weak['view']}, or on a view from another side.")  # fmt: skip
 
 
-def warnings(drawn: Sequence[Sketch], residual, angle: float, counts) -> list[str]:
-    """Sentences on what was drawn that a person should know. residual: reprojection_px; counts: of intersections."""
+def level(cameras, x) -> np.ndarray:
+    """(T,) bool: where the motion x (T, 3) [m] runs in a plane with each two of the cameras, along epipolar lines of both
+    views: which of their points are the same one, geometry does not say there."""
+    tangent = np.gradient(x, axis=0)
+    tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-300)
+    normals = [np.cross(a.centre - x, b.centre - x) for k, a in enumerate(cameras) for b in cameras[:k]]
+    out = [np.abs((tangent * n).sum(axis=1)) / np.maximum(np.linalg.norm(n, axis=1), 1e-300) for n in normals]
+    return np.max(out, axis=0) < np.sin(np.radians(LEVEL_DEG))
+
+
+def warnings(drawn: Sequence[Sketch], x, residual, angle: float, counts) -> list[str]:
+    """Sentences on what was drawn that a person should know. x: (T, 3) [m], the motion; residual: reprojection_px; counts:
+    of intersections."""
     sentences = []
+    if (share := level([sketch.camera for sketch in drawn], x).mean()) > LEVEL:
+        sentences.append(
+            f"{share:.0%} of the motion runs in one plane with the cameras, so its depth rests on how evenly it was drawn; "
+            "sketch on a view from higher up or lower down."
+        )
     if (missing := int((counts == 0).sum())) > 0:
         sentences.append(f"At {missing} of {len(counts)} times no rays meet; the motion is interpolated there.")
     if angle < 15:

@@ -29,6 +29,8 @@ from teach.sketch import Event, Sketch, SketchError, check, without_slips
 from teach.surface import fit_surface
 from teach.trajectory import Route, Skill, TrajectoryDistribution
 
+POOR = -10.0
+"""Log evidence below which views hardly show one motion: one in ten honest sketches, two in three of unrelated ones."""
 POINTS = 100
 """Points at even times by which a stroke is represented while fitting."""
 
@@ -163,6 +165,9 @@ def _from_rays(drawn, common, parts, weights: _Weights, seed: int, seen):
     left_out, sentences = contradictions(drawn, common.agree, common.off)
     for k in common.rivals:
         sentences.append(f"It may be the sketch on view {drawn[k].view} instead: draw both of them again, or add a view.")
+    if common.gain < POOR:
+        views = " and ".join(s.view for s, ok in zip(drawn, common.agree, strict=True) if ok)
+        sentences.append(f"The strokes of views {views} hardly show one motion: look at it in a further view, or draw them again.")
     drawn, times = zip(*[(s, t) for s, t, ok in zip(drawn, common.times, common.agree, strict=True) if ok], strict=True)
     density, raytrace = parts
     cameras = [sketch.camera for sketch in drawn]
@@ -192,7 +197,8 @@ def _from_rays(drawn, common, parts, weights: _Weights, seed: int, seen):
     report["intersections"] = met.counts.tolist()
     report["noise"] = {sketch.view: density.noise for sketch, density in zip(drawn, densities, strict=True)}
     report["contradicting"] = {view: miss if np.isfinite(miss) else None for view, miss in left_out.items()}
-    report["warnings"] = sentences + warnings(drawn, report["reprojection_px"], report["ray_angle_deg"], met.counts)
+    seen_as = report["reprojection_px"], report["ray_angle_deg"], met.counts
+    report["warnings"] = sentences + warnings(drawn, distribution.mean_at(TIMES), *seen_as)
     return distribution, report
 
 

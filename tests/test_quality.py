@@ -4,7 +4,7 @@ import pytest
 from scene.camera import Camera, look_at
 from teach.basis import SquaredExponential
 from teach.likelihood import projection
-from teach.quality import TIMES, contradictions, quality, warnings
+from teach.quality import TIMES, contradictions, level, quality, warnings
 from teach.sketch import Sketch, Stroke
 from teach.trajectory import TrajectoryDistribution
 
@@ -14,6 +14,7 @@ CAMERAS = [Camera.from_fov(look_at(eye, TARGET), 640, 480, 55) for eye in EYES]
 BASIS, T = SquaredExponential(), np.linspace(0, 1, 100)
 X = TARGET + np.stack([0.3 * T - 0.15, 0 * T, 0.1 * np.sin(3 * T)], axis=1)
 MEAN = projection(BASIS, T, np.ones(100), 1e-10) @ X
+HIGH = X + [0, 0, 0.3]
 SKETCHES = [Sketch(f"v{i}", c, tuple(Stroke(c.project(X) + k, T) for k in (-2, 0, 2))) for i, c in enumerate(CAMERAS)]
 
 
@@ -43,8 +44,8 @@ def test_the_weak_stretch_is_named_with_the_view_that_sees_what_is_uncertain():
     uncertainty[20:30] += 4e-4 * np.outer(along, along)
     report = assessed(uncertainty)
     assert report["weakest"]["view"] == "v1"
-    assert report["weakest"]["from"] == pytest.approx(TIMES[20]) and report["weakest"]["to"] == pytest.approx(TIMES[29])
-    assert "only to 39 mm from 41% to 59% of it: draw that part once more on view v1" in report["sentence"]
+    assert report["weakest"]["from"] == pytest.approx(TIMES[19]) and report["weakest"]["to"] == pytest.approx(TIMES[30])
+    assert "only to 39 mm from 39% to 61% of it: draw that part once more on view v1" in report["sentence"]
 
 
 def test_contradicting_views_are_named_with_how_far_they_are_off():
@@ -55,7 +56,16 @@ def test_contradicting_views_are_named_with_how_far_they_are_off():
 
 
 def test_what_a_person_should_know_is_said_in_sentences():
-    said = warnings(SKETCHES, {"v0": 1.0, "v1": 40.0}, 8.0, np.array([0, 3, 4]))
+    said = warnings(SKETCHES, HIGH, {"v0": 1.0, "v1": 40.0}, 8.0, np.array([0, 3, 4]))
     assert len(said) == 3
     assert "At 1 of 3 times" in said[0] and "8 degrees apart" in said[1] and "v1 miss the motion by 40 px" in said[2]
-    assert warnings(SKETCHES, {"v0": 1.0, "v1": 2.0}, 60.0, np.array([3])) == []
+    assert warnings(SKETCHES, HIGH, {"v0": 1.0, "v1": 2.0}, 60.0, np.array([3])) == []
+
+
+def test_a_motion_in_one_plane_with_the_cameras_is_told():
+    flat = TARGET + np.stack([0.2 * np.cos(3 * T), 0.2 * np.sin(3 * T), 0 * T], axis=1)  # at the cameras' own height
+    assert level(CAMERAS, flat).all() and not level(CAMERAS, flat + np.outer(T, [0, 0, 0.4])).any()
+    above = Camera.from_fov(look_at((0.5, 0.2, 2.0), TARGET, up=(1, 0, 0)), 640, 480, 55)
+    assert not level([*CAMERAS, above], flat).all()  # a third view from above settles it
+    said = warnings(SKETCHES, flat, {"v0": 1.0, "v1": 2.0}, 60.0, np.array([3]))
+    assert len(said) == 1 and "100% of the motion runs in one plane with the cameras" in said[0]
