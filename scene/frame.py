@@ -195,7 +195,7 @@ def jacobian(points: np.ndarray, about: np.ndarray) -> np.ndarray:
     """How points (N, 3) move with ``Similarity.nudged``'s x: (N, 3, 7)."""
     r = np.asarray(points, dtype=float) - about
     J = np.zeros((len(r), 3, 7))
-    J[:, :, :3] = -np.cross(r[:, None], np.eye(3))
+    J[:, :, :3] = np.cross(r[:, None], np.eye(3))
     J[:, :, 3], J[:, :, 4:] = r, np.eye(3)
     return J
 
@@ -210,9 +210,13 @@ def with_uncertainty(found: Similarity, J: np.ndarray, noise: float, cameras: Se
     _, s, Vt = np.linalg.svd(J / np.where(width > 0, width, 1), full_matrices=False)
     deviations = (Vt / np.maximum(s, 1e-12)[:, None])[:, :7] / np.where(width > 0, width, 1e-12)[:7]  # rows: independent
     moves = np.einsum("nij,kj->nki", jacobian([found.move(camera).centre for camera in cameras], about), deviations)
-    off = 1000 * noise * float(np.sqrt((moves**2).sum(axis=(1, 2)).mean()))
-    said = f"{found.rests_on}: the cameras may be off by {off:.0f} mm" if off < 1e4 else f"{found.rests_on}: that fixes no frame"
-    if off > USELESS_MM:
-        raise ReconstructionFailed(f"{said}; it needs more to rest on, spread wider")
-    unsure = (f"{said}; more to rest on, spread wider, would help",) if off > UNSURE_MM else ()
-    return replace(found, uncertainty_mm=off, warnings=(*found.warnings, *unsure))
+    return judged(found, 1000 * noise * float(np.sqrt((moves**2).sum(axis=(1, 2)).mean())))
+
+
+def judged(found: Similarity, off_mm: float) -> Similarity:
+    """``found`` with its uncertainty [mm]: said where it is large, ReconstructionFailed where it is useless."""
+    by = f"the cameras may be off by {off_mm:.0f} mm" if off_mm < 1e4 else "that leaves the frame open"
+    if not off_mm <= USELESS_MM:
+        raise ReconstructionFailed(f"frame from {found.rests_on}: {by}; it needs more to rest on, spread wider")
+    unsure = (f"frame from {found.rests_on}: {by}; more to rest on, spread wider, would help",) if off_mm > UNSURE_MM else ()
+    return replace(found, uncertainty_mm=off_mm, warnings=(*found.warnings, *unsure))

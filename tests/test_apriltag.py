@@ -192,6 +192,7 @@ def test_a_tag_that_is_not_where_the_layout_says_is_left_out():
     found = apriltag.fit_frame(detections(moved, 0.2), unscaled(true, cameras()), LAYOUT)
     assert set(found.used) == {3, 8, 11} and found.residual_mm < 1
     assert found.residuals_mm[5] == pytest.approx(50, abs=2)
+    assert "tag 5 lies 50 mm" in found.warnings[0] and "tags 3, 8, 11 of 120 mm" in found.rests_on
     assert np.allclose(found.matrix, true.matrix, atol=5e-3)
 
 
@@ -214,6 +215,19 @@ def test_one_tag_alone_is_enough_for_a_frame():
     true = random_similarity(7)
     found = apriltag.fit_frame(detections(one), unscaled(true, cameras()), one)
     assert np.allclose(found.matrix, true.matrix, atol=1e-5) and found.used == (8,)
+
+
+def test_one_small_tag_far_away_is_said_to_be_unsure_and_a_tiny_one_refused():
+    true = random_similarity(7)
+    for size, outcome in ((0.03, "unsure"), (0.004, "refused")):
+        one = TagLayout(size, {8: LAYOUT.base_from_tag[8]})
+        seen = detections(one, 0.1)
+        if outcome == "refused":
+            with pytest.raises(ReconstructionFailed, match="tag 8 of 4 mm.*may be off|do not lie|leaves the frame open"):
+                apriltag.fit_frame(seen, unscaled(true, cameras()), one)
+        else:
+            found = apriltag.fit_frame(seen, unscaled(true, cameras()), one)
+            assert found.uncertainty_mm > 5 and "tag 8 of 30 mm" in found.warnings[0]
 
 
 def test_tags_seen_once_or_foreign_tags_are_listed_in_the_refusal():
