@@ -98,13 +98,17 @@ def find(model: Model, folder: str | Path, *, method: str = "auto", file: str | 
 
 def read(folder: str | Path, *, method: str = "auto", file: str | Path | None = None) -> Callable[[Model], Similarity]:
     """What gives the frame, read and checked before there is a model: a function from the model to its frame."""
+    wished = method
     method, file, others = choose(folder, method, file)
     fit = _read(method, file)
-    unused = f"not used: {', '.join(path.name for path in others)}; scene/frame= chooses what the frame rests on"
+    notes = [f"not used: {', '.join(p.name for p in others)}; scene/frame= chooses what the frame rests on"] if others else []
+    if wished == "auto" and method == "gravity":
+        files = ", ".join(name for names in FILES.values() for name in names[:1])
+        notes = [f"none of {files} lies with the photographs: nothing gives scale and place"]
 
     def frame_of(model: Model) -> Similarity:
         found = fit(model)
-        return replace(found, warnings=(*found.warnings, *([unused] if others else [])))
+        return replace(found, warnings=(*found.warnings, *notes))
 
     return frame_of
 
@@ -219,4 +223,4 @@ def judged(found: Similarity, off_mm: float) -> Similarity:
     if not off_mm <= USELESS_MM:
         raise ReconstructionFailed(f"frame from {found.rests_on}: {by}; it needs more to rest on, spread wider")
     unsure = (f"frame from {found.rests_on}: {by}; more to rest on, spread wider, would help",) if off_mm > UNSURE_MM else ()
-    return replace(found, uncertainty_mm=off_mm, warnings=(*found.warnings, *unsure))
+    return replace(found, uncertainty_mm=float(off_mm), warnings=(*found.warnings, *unsure))

@@ -144,29 +144,7 @@ def test_a_layout_that_is_not_there_is_named(tmp_path):
         TagLayout.load(tmp_path / "tags.json")
 
 
-# Triangulation and the similarity
-
-
-@settings(max_examples=30, deadline=None)
-@given(st.tuples(*[st.floats(-0.3, 0.3)] * 3))
-def test_exact_pixels_return_their_point(offset):
-    true = np.array([0.6, 0.0, 0.0]) + offset
-    point, agree = apriltag.triangulate([camera.project(true) for camera in cameras()], cameras())
-    assert np.allclose(point, true, atol=1e-9) and agree.all()
-
-
-def test_three_wrong_views_of_eight_do_no_harm():
-    true = np.array([0.5, 0.1, 0.05])
-    pixels = np.array([camera.project(true) for camera in cameras()])
-    pixels[[1, 4, 6]] += [[30, -10], [-4, 60], [5, 5]]
-    point, agree = apriltag.triangulate(pixels, cameras())
-    assert np.allclose(point, true, atol=1e-9)
-    assert agree.tolist() == [True, False, True, True, False, True, False, True]
-
-
-def test_one_view_gives_no_point():
-    point, agree = apriltag.triangulate([[100.0, 100.0]], cameras()[:1])
-    assert np.isnan(point).all() and not agree.any()
+# The frame
 
 
 @settings(max_examples=10, deadline=None)

@@ -98,11 +98,11 @@ def test_pictures_of_different_sizes(tmp_path):
     refused(scene2skill("photos=mixed", cwd=tmp_path), "size")
 
 
-@pytest.mark.parametrize(("name", "words"), [("tags.json", "size"), ("arm_poses.json", "base_from_flange"), ("distance.json", "from"), ("poses.json", "frames")])
-def test_a_broken_file_of_the_robots_frame_is_named_before_anything_is_reconstructed(tmp_path, name, words):
+@pytest.mark.parametrize(("name", "word"), [("tags.json", "tags"), ("arm_poses.json", "base_from_flange"), ("distance.json", "from"), ("poses.json", "frames")])
+def test_a_broken_file_of_the_robots_frame_is_named_before_anything_is_reconstructed(tmp_path, name, word):
     folder = photographs(tmp_path / "scene")
-    (folder / name).write_text('{"family": "36h11", "distance": 1}')
-    refused(scene2skill("photos=scene", cwd=tmp_path), name, words)
+    (folder / name).write_text('{"distance": 1}' if name == "distance.json" else '{"family": "36h11"}')
+    refused(scene2skill("photos=scene", cwd=tmp_path), name, f"missing {word}")
     assert not list(tmp_path.glob("data/scene/*.json")) and not list(tmp_path.glob("data/scene/images"))
 
 
