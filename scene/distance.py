@@ -8,7 +8,8 @@
                      {"point": 123}   a point of the model: the row of sparse.ply, from 0
 
 The frame is the robot's if ``origin`` (whose place in the robot's base is ``origin_in_base`` [m]) and ``forward`` (a
-point beyond it in the direction of the base's x axis, at any height) are given; else it is level and in metres, no more.
+point beyond it in the direction of the base's x axis, at any height) are given; else it is level and in metres, no
+more.
 """
 
 import json
@@ -66,11 +67,13 @@ class Ruler:
         try:
             content = json.loads(path.read_text(encoding="utf-8"))
             known = {"distance", "from", "to", "origin", "origin_in_base", "forward"}
-            if content.keys() - known:
-                raise ValueError(f"unknown {', '.join(sorted(content.keys() - known))}; there are {', '.join(sorted(known))}")
+            unknown = ", ".join(sorted(content.keys() - known))
+            if unknown:
+                raise ValueError(f"unknown {unknown}; there are {', '.join(sorted(known))}")
             optional = {key: _place(key, content[key]) for key in ("origin", "forward") if key in content}
             ends = _place("from", content["from"]), _place("to", content["to"])
-            return cls(float(content["distance"]), *ends, **optional, origin_in_base=content.get("origin_in_base", (0, 0, 0)))
+            optional["origin_in_base"] = content.get("origin_in_base", (0, 0, 0))
+            return cls(float(content["distance"]), *ends, **optional)
         except KeyError as error:
             raise ValueError(f"{path}: missing {error.args[0]}") from error
         except (TypeError, AttributeError, ValueError) as error:
@@ -81,7 +84,7 @@ def _place(name: str, place):
     if set(place) == {"point"} and isinstance(place["point"], int) and place["point"] >= 0:
         return place["point"]
     if set(place) != {"pixels"}:
-        raise ValueError(f'{name}: a place is {{"pixels": {{photograph: [u, v], ...}}}} or {{"point": row of sparse.ply}}')
+        raise ValueError(name + ': a place is {"pixels": {photograph: [u, v], ...}} or {"point": row of sparse.ply}')
     pixels = {Path(photograph).stem: np.array(pixel, dtype=float) for photograph, pixel in place["pixels"].items()}
     if len(pixels) < 2 or any(p.shape != (2,) or not np.isfinite(p).all() for p in pixels.values()):
         raise ValueError(f"{name}: a place needs a pixel [u, v] in two photographs at least, better in four")
@@ -107,7 +110,10 @@ def fit_frame(
     by_name = dict(zip(names, cameras, strict=True))
     found = {}
     for name, place in ruler.places.items():
-        found[name] = _model_point(place, name, cameras, points, point_errors) if isinstance(place, int) else _clicked(place, name, by_name)
+        if isinstance(place, int):
+            found[name] = _model_point(place, name, cameras, points, point_errors)
+        else:
+            found[name] = _clicked(place, name, by_name)
     a, b = found["from"], found["to"]
     length = float(np.linalg.norm(b.x - a.x))
     if not length > 0:
@@ -118,7 +124,7 @@ def fit_frame(
     rotation, origin = _level(found, gravity.up(cameras, points), cameras, points)
     translation = ruler.origin_in_base - scale * rotation @ origin
     known = "forward" in found
-    place = () if known else ("z is up and lengths are metres, but origin and heading are not the robot's: say origin and forward",)
+    place = "z is up and lengths are metres, but origin and heading are not the robot's: say origin and forward"
     views = [f"{photograph} of {name}" for name in found for photograph in found[name].left_out]
     wrong = (f"left out, as the pixel lies off the others': {', '.join(views)}",) if views else ()
     similarity = Similarity(
@@ -126,15 +132,16 @@ def fit_frame(
         rests_on=f"a distance of {1000 * ruler.distance:.0f} mm between two points, with up by gravity",
         residual_mm=1000 * scale * float(np.sqrt(np.mean([p.residual**2 for p in found.values()]))),
         residuals_mm={name: 1000 * scale * p.residual for name, p in found.items()}, used=tuple(found),
-        warnings=wrong + place, extra={"scale_uncertainty": float(unsure)},
+        warnings=wrong + (() if known else (place,)), extra={"scale_uncertainty": float(unsure)},
     )  # fmt: skip
     reach = scale * np.sqrt(np.mean([((camera.centre - origin) ** 2).sum() for camera in cameras]))
-    return judged(similarity, 1000 * float(np.hypot(unsure * reach, scale * _unsure_place(found, rotation, reach / scale))))
+    place_off = scale * _unsure_place(found, rotation, reach / scale)
+    return judged(similarity, 1000 * float(np.hypot(unsure * reach, place_off)))
 
 
 @dataclass(frozen=True, eq=False)
 class _Point:
-    """x: (3,) in the model; covariance: (3, 3); residual: rms distance of its rays; left_out: photographs that disagree."""
+    """x: (3,) in the model; covariance: (3, 3); residual: rms distance of its rays; left_out: who disagrees."""
 
     x: np.ndarray
     covariance: np.ndarray
@@ -148,7 +155,8 @@ def _clicked(place: Mapping[str, np.ndarray], name: str, by_name: Mapping[str, C
     x, agree = triangulate(pixels, cameras, threshold=max(2.0, CLICK * cameras[0].width))
     if not np.isfinite(x).all():
         raise ReconstructionFailed(
-            f"distance.json, {name}: the pixels of {', '.join(photographs)} do not belong to one point; click the same spot"
+            f"distance.json, {name}: the pixels of {', '.join(photographs)} do not belong to one point; click the same "
+            "spot in all of them"
         )
     inside = [camera for camera, agrees in zip(cameras, agree) if agrees]
     errors = np.array([camera.project(x) for camera in inside]) - pixels[agree]
@@ -169,7 +177,7 @@ def _model_point(row: int, name: str, cameras, points, point_errors) -> _Point:
 
 
 def _unsure_place(found: Mapping[str, _Point], rotation: np.ndarray, reach: float) -> float:
-    """Standard deviation, in the model's unit, of a camera at ``reach`` from the origin, by what place and heading rest on."""
+    """Standard deviation of a camera at ``reach`` from the origin by place and heading, all in the model's unit."""
     if "origin" not in found:
         return 0.0
     origin = found["origin"]
@@ -189,5 +197,5 @@ def _level(found: Mapping[str, _Point], up: np.ndarray, cameras, points) -> tupl
         return level(up, cameras[0]), origin
     ahead = found["forward"].x - origin
     if np.linalg.norm(np.cross(ahead, up)) < 0.05 * np.linalg.norm(ahead) or not np.any(ahead):
-        raise ReconstructionFailed("distance.json: forward lies straight above or below the origin, so it shows no direction")
+        raise ReconstructionFailed("distance.json: forward lies straight above or below the origin: no direction")
     return level(up, cameras[0], ahead), origin

@@ -23,7 +23,12 @@ from scene import gravity
 from scene.camera import Camera
 from scene.colmap import Model, ReconstructionFailed
 
-FILES = {"tags": ("tags.json",), "poses": ("poses.json", "poses"), "arm": ("arm_poses.json",), "distance": ("distance.json",)}
+FILES = {
+    "tags": ("tags.json",),
+    "poses": ("poses.json", "poses"),
+    "arm": ("arm_poses.json",),
+    "distance": ("distance.json",),
+}
 METHODS = ("auto", *FILES, "gravity")
 UNSURE_MM, USELESS_MM = 5.0, 50.0
 """A frame that may be off by more than this where the cameras stand is said to be unsure, or refused."""
@@ -101,7 +106,9 @@ def read(folder: str | Path, *, method: str = "auto", file: str | Path | None = 
     wished = method
     method, file, others = choose(folder, method, file)
     fit = _read(method, file)
-    notes = [f"not used: {', '.join(p.name for p in others)}; scene/frame= chooses what the frame rests on"] if others else []
+    notes = []
+    if others:
+        notes = [f"not used: {', '.join(p.name for p in others)}; scene/frame= chooses what the frame rests on"]
     if wished == "auto" and method == "gravity":
         files = ", ".join(name for names in FILES.values() for name in names[:1])
         notes = [f"none of {files} lies with the photographs: nothing gives scale and place"]
@@ -133,7 +140,9 @@ def _read(method: str, file: Path | None) -> Callable[[Model], Similarity]:
     return lambda model: gravity_frame(model.cameras, model.points)
 
 
-def choose(folder: str | Path, method: str = "auto", file: str | Path | None = None) -> tuple[str, Path | None, list[Path]]:
+def choose(
+    folder: str | Path, method: str = "auto", file: str | Path | None = None
+) -> tuple[str, Path | None, list[Path]]:
     """(method, its file, files of other methods that are there too and stay unused)."""
     if method not in METHODS:
         raise ValueError(f"unknown scene.frame.method {method}; there are {', '.join(METHODS)}")
@@ -146,7 +155,8 @@ def choose(folder: str | Path, method: str = "auto", file: str | Path | None = N
     if method == "gravity":
         return method, None, []
     if file is None and not there[method]:
-        raise FileNotFoundError(f"scene/frame={method} needs {' or '.join(FILES[method])} in {folder}, or scene.frame.file")
+        wanted = " or ".join(FILES[method])
+        raise FileNotFoundError(f"scene/frame={method} needs {wanted} in {folder}, or scene.frame.file")
     return method, Path(file) if file is not None else there[method][0], []
 
 
@@ -204,7 +214,9 @@ def jacobian(points: np.ndarray, about: np.ndarray) -> np.ndarray:
     return J
 
 
-def with_uncertainty(found: Similarity, J: np.ndarray, noise: float, cameras: Sequence[Camera], about: np.ndarray) -> Similarity:
+def with_uncertainty(
+    found: Similarity, J: np.ndarray, noise: float, cameras: Sequence[Camera], about: np.ndarray
+) -> Similarity:
     """``found`` with how far the cameras may be off, and a warning or ReconstructionFailed where that is far.
 
     J: (M, 7 or more) derivative of M residuals by ``nudged``'s x, then by what else was estimated; noise: the standard
@@ -212,7 +224,8 @@ def with_uncertainty(found: Similarity, J: np.ndarray, noise: float, cameras: Se
     """
     width = np.linalg.norm(J, axis=0)
     _, s, Vt = np.linalg.svd(J / np.where(width > 0, width, 1), full_matrices=False)
-    deviations = (Vt / np.maximum(s, 1e-12)[:, None])[:, :7] / np.where(width > 0, width, 1e-12)[:7]  # rows: independent
+    deviations = (Vt / np.maximum(s, 1e-12)[:, None])[:, :7]  # (K, 7), independent of each other
+    deviations = deviations / np.where(width > 0, width, 1e-12)[:7]
     moves = np.einsum("nij,kj->nki", jacobian([found.move(camera).centre for camera in cameras], about), deviations)
     return judged(found, 1000 * noise * float(np.sqrt((moves**2).sum(axis=(1, 2)).mean())))
 
@@ -222,5 +235,7 @@ def judged(found: Similarity, off_mm: float) -> Similarity:
     by = f"the cameras may be off by {off_mm:.0f} mm" if off_mm < 1e4 else "that leaves the frame open"
     if not off_mm <= USELESS_MM:
         raise ReconstructionFailed(f"frame from {found.rests_on}: {by}; it needs more to rest on, spread wider")
-    unsure = (f"frame from {found.rests_on}: {by}; more to rest on, spread wider, would help",) if off_mm > UNSURE_MM else ()
+    unsure = ()
+    if off_mm > UNSURE_MM:
+        unsure = (f"frame from {found.rests_on}: {by}; more to rest on, spread wider, would help",)
     return replace(found, uncertainty_mm=float(off_mm), warnings=(*found.warnings, *unsure))

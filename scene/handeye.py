@@ -3,7 +3,8 @@
     arm_poses.json    {"base_from_flange": {"0000": 4 x 4 [m], ...}}, by name of the photograph
 
 Where the camera sits on the flange is unknown, and so is the model's similarity: robot-world hand-eye calibration with
-an unknown scale. A start in closed form is refined over all unknowns with a robust loss; poses that do not fit are named.
+an unknown scale. A start in closed form is refined over all unknowns with a robust loss; poses that do not fit are
+named.
 
 Notation
     F_i = (Q_i, f_i)    base_from_flange at photograph i [m]
@@ -36,7 +37,8 @@ def align(model: Model, base_from_flange: Mapping[str, np.ndarray]) -> Similarit
     """The similarity from the model's frame to the robot's base; ``extra`` holds flange_from_camera (4 x 4 [m])."""
     names = matched(model, base_from_flange, "arm poses", FEWEST)
     cameras = dict(zip(model.names, model.cameras, strict=True))
-    return fit_frame(names, [cameras[n].world_from_camera for n in names], [base_from_flange[n] for n in names], model.cameras)
+    model_from_camera = [cameras[n].world_from_camera for n in names]
+    return fit_frame(names, model_from_camera, [base_from_flange[n] for n in names], model.cameras)
 
 
 def fit_frame(names: Sequence[str], model_from_camera, base_from_flange, cameras) -> Similarity:
@@ -50,9 +52,10 @@ def fit_frame(names: Sequence[str], model_from_camera, base_from_flange, cameras
     proposals = [p for p in (closed_form(C[k], F[k]) for k in samples) if p is not None]
     if not proposals:
         raise ReconstructionFailed("the arm's motions fix no scale: move the hand as well as turning it")
-    inside = agreeing(min((_distances(*p, C, F) for p in proposals), key=np.median))
+    start = min(proposals, key=lambda proposal: np.median(_distances(*proposal, C, F)))
+    inside = agreeing(_distances(*start, C, F))
     for _ in range(5):
-        start = closed_form(C[inside], F[inside]) or proposals[0]
+        start = closed_form(C[inside], F[inside]) or start
         distance = _distances(*start, C, F)
         inside = agreeing(distance)
     advice = "are they base_from_flange in metres (not its inverse), taken when the photographs of these names were?"
@@ -65,8 +68,9 @@ def fit_frame(names: Sequence[str], model_from_camera, base_from_flange, cameras
     warnings = [*left_out(names, distance, inside, "arm's pose")]
     if inside.sum() < COMFORTABLE:
         warnings.append(f"only {inside.sum()} arm poses: with {COMFORTABLE} or more a wrong one would show")
+    arm = 1000 * np.linalg.norm(X[:3, 3])
     found = replace(
-        found, rests_on=f"{inside.sum()} poses of the arm, the camera {1000 * np.linalg.norm(X[:3, 3]):.0f} mm from the flange",
+        found, rests_on=f"{inside.sum()} poses of the arm, the camera {arm:.0f} mm from the flange",
         used=tuple(n for n, agrees in zip(names, inside) if agrees), warnings=tuple(warnings),
         residual_mm=1000 * float(np.sqrt((gaps[inside] ** 2).mean())),
         residuals_mm={n: 1000 * float(gap) for n, gap in zip(names, gaps)}, extra={"flange_from_camera": X.tolist()},
@@ -112,11 +116,12 @@ def _refuse_few_turns(F: np.ndarray):
     Q = F[:, :3, :3]
     turns = _logarithms(nearest_rotation(Q.sum(axis=0)).T @ Q)
     spread = np.linalg.svd(turns, compute_uv=False) / np.sqrt(len(turns))
-    about = "hardly turned" if spread[0] < LEAST_TURN else "turned about one axis only" if spread[1] < LEAST_TURN else None
-    if about:
+    if spread[1] < LEAST_TURN:
+        about = "hardly turned" if spread[0] < LEAST_TURN else "turned about one axis only"
         raise ReconstructionFailed(
             f"the hand {about} between the photographs (by {np.degrees(spread[0]):.1f} and {np.degrees(spread[1]):.1f} "
-            f"degrees about two axes), which leaves open where the camera sits on it: tilt it about two axes, by 20 degrees or more"
+            "degrees about two axes), which leaves open where the camera sits on it: tilt it about two axes, by 20 "
+            "degrees or more"
         )
 
 

@@ -35,7 +35,8 @@ def align(model: Model, base_from_camera: Mapping[str, np.ndarray]) -> Similarit
     """The similarity from the model's frame to that of known poses, {name of the photograph: (4, 4) [m]}."""
     names = matched(model, base_from_camera, "poses")
     cameras = dict(zip(model.names, model.cameras, strict=True))
-    return fit_frame(names, [cameras[n].world_from_camera for n in names], [base_from_camera[n] for n in names], model.cameras)
+    model_poses = [cameras[n].world_from_camera for n in names]
+    return fit_frame(names, model_poses, [base_from_camera[n] for n in names], model.cameras)
 
 
 def matched(model: Model, poses: Mapping[str, np.ndarray], what: str, fewest: int = FEWEST) -> list[str]:
@@ -62,7 +63,7 @@ def fit_frame(names: Sequence[str], model_poses, base_poses, cameras) -> Similar
     model_poses, base_poses = np.asarray(model_poses, dtype=float), np.asarray(base_poses, dtype=float)
     c, a = model_poses[:, :3, 3], base_poses[:, :3, 3]
     if _extents(c)[0] < 1e-9 or _extents(a)[0] < 1e-6:
-        raise ReconstructionFailed(f"the {len(c)} known poses stand in one place, which gives no scale: move the camera")
+        raise ReconstructionFailed(f"{len(c)} known poses stand in one place, which gives no scale: move the camera")
     proposals = [_fit(model_poses[chosen], base_poses[chosen]) for chosen in _subsets(len(c))]
     distances = [np.linalg.norm(p.apply(c) - a, axis=1) for p in proposals if p is not None]
     if not distances:
@@ -72,8 +73,10 @@ def fit_frame(names: Sequence[str], model_poses, base_poses, cameras) -> Similar
         found = _fit(model_poses[inside], base_poses[inside])
         distance = np.linalg.norm(found.apply(c) - a, axis=1)
         inside = agreeing(distance)
-    refuse_strangers(distance, a, inside, "the known poses", "are they base_from_camera in metres, of these photographs?")
-    turns = np.degrees(angles(base_poses[:, :3, :3].transpose(0, 2, 1) @ found.rotation @ model_poses[:, :3, :3]))[inside]
+    advice = "are they base_from_camera in metres, of these photographs?"
+    refuse_strangers(distance, a, inside, "the known poses", advice)
+    turns = base_poses[inside, :3, :3].transpose(0, 2, 1) @ found.rotation @ model_poses[inside, :3, :3]
+    turns = np.degrees(angles(turns))
     warnings = list(left_out(names, distance, inside, "pose"))
     if np.median(turns) > 2:
         warnings.append(f"the known poses' rotations differ by {np.median(turns):.0f} degrees from the photographs'")
@@ -160,7 +163,8 @@ def load(path: str | Path) -> dict[str, np.ndarray]:
     """{name: base_from_camera (4, 4)} with OpenCV's axes, from poses.json, transforms.json or a folder, see above."""
     path = Path(path)
     if path.is_dir():
-        there = [path / name for name in ("transforms.json", "poses.json", "images.txt", "images.bin") if (path / name).exists()]
+        names = "transforms.json", "poses.json", "images.txt", "images.bin"
+        there = [path / name for name in names if (path / name).exists()]
         if not there:
             raise FileNotFoundError(f"no transforms.json, images.txt or images.bin in {path}")
         path = there[0]
@@ -194,7 +198,8 @@ def _read_transforms(path: Path) -> dict[str, np.ndarray]:
     said = (content.get("scene2skill") or {}).get("frame", {})
     if said.get("unit", "m") != "m":
         raise ValueError("its frame is arbitrary, so it says nothing of metres")
-    return {Path(f["file_path"]).stem: np.array(f["transform_matrix"], dtype=float) @ OPENCV_FROM_OPENGL for f in content["frames"]}
+    poses = {Path(frame["file_path"]).stem: frame["transform_matrix"] for frame in content["frames"]}
+    return {name: np.array(pose, dtype=float) @ OPENCV_FROM_OPENGL for name, pose in poses.items()}
 
 
 def _read_images_txt(path: Path) -> dict[str, np.ndarray]:

@@ -1,6 +1,6 @@
-"""Sheets of AprilTags (36h11) to print: at true scale, each tag named, with a ruler that shows whether the printer scaled.
+"""Sheets of AprilTags (36h11) to print at true scale, each tag named, with a ruler that shows if the printer scaled.
 
-A tag's picture is 10 x 10 cells: the black square of 8 x 8, whose edge is the tag's size, in a white border of one cell.
+A tag's picture is 10 x 10 cells: the black square of 8 x 8, whose edge is the tag's size, in a white border of one.
 Marks in the border's corners show where to cut. Uncut, the whole sheet is a layout of known places (``layout``).
 
 Notation
@@ -25,7 +25,7 @@ INCH = 25.4
 
 @dataclass(frozen=True)
 class Page:
-    """One sheet of paper. paper: (width, height) [mm]; size: edge of the black squares [mm]; centres: {number: (x, y)}."""
+    """One sheet. paper: (width, height) [mm]; size: edge of the black squares [mm]; centres: {number: (x, y)}."""
 
     paper: tuple[float, float]
     size: float
@@ -33,7 +33,10 @@ class Page:
 
 
 def pages(ids: Sequence[int], size: float, paper: str = "a4") -> list[Page]:
-    """Tags ``ids`` of ``size`` [mm], row by row, on as few sheets as they need. ValueError for what cannot be printed."""
+    """Tags ``ids`` of ``size`` [mm], row by row, on as few sheets as they need.
+
+    ValueError for unknown papers, numbers that are not in the family or come twice, and sizes that do not fit.
+    """
     if paper not in PAPERS:
         raise ValueError(f"unknown paper {paper}; there are {', '.join(PAPERS)}")
     wrong = [n for n in ids if not 0 <= n < FAMILY_SIZE]
@@ -45,7 +48,8 @@ def pages(ids: Sequence[int], size: float, paper: str = "a4") -> list[Page]:
     cell = 1.25 * size, 1.25 * size + LABEL
     largest = min(room[0], room[1] - LABEL) / 1.25
     if not 10 <= size <= largest:
-        raise ValueError(f"a tag of {size:g} mm: on {paper} sizes go from 10 to {np.floor(largest):.0f} mm (edge of the black square)")
+        sizes = f"sizes go from 10 to {np.floor(largest):.0f} mm (edge of the black square)"
+        raise ValueError(f"a tag of {size:g} mm: on {paper} {sizes}")
     columns, rows = (int(space // need) for space, need in zip(room, cell))
     gap = [(space - count * need) / (count + 1) for space, count, need in zip(room, (columns, rows), cell)]
     xs = [MARGIN + gap[0] + i * (cell[0] + gap[0]) + cell[0] / 2 for i in range(columns)]
@@ -101,8 +105,9 @@ def _draw_ruler(axes, page: Page):
     left, bottom = (page.paper[0] - RULER) / 2, MARGIN + 5
     axes.plot([left, left + RULER], [bottom, bottom], color="black", linewidth=0.6)
     for mm in range(0, int(RULER) + 1, 5):
-        axes.plot([left + mm] * 2, [bottom, bottom + (4 if mm % 50 == 0 else 3 if mm % 10 == 0 else 1.5)], color="black", linewidth=0.6)
-    said = "This line is 100 mm long; if not, print again at 100 %, without fitting to the page. This edge is the tags' lower one."
+        length = 4 if mm % 50 == 0 else 3 if mm % 10 == 0 else 1.5
+        axes.plot([left + mm] * 2, [bottom, bottom + length], color="black", linewidth=0.6)
+    said = "This line is 100 mm long; if not, print again at 100 %, without fitting to the page."
     axes.text(page.paper[0] / 2, bottom - 1.5, said, ha="center", va="top", fontsize=7)
 
 
@@ -116,7 +121,7 @@ def save(path: str | Path, sheets: Sequence[Page]):
 
 
 def layout(sheets: Sequence[Page]) -> TagLayout:
-    """Where the tags are when the sheets lie uncut side by side: the base at the first one's lower left corner, z up."""
+    """Where the tags of uncut sheets side by side are: the base at the first one's lower left corner, z up."""
     poses = {}
     for i, page in enumerate(sheets):
         for number, (x, y) in page.centres.items():

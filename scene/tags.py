@@ -10,13 +10,15 @@ import sys
 
 def main(arguments: list[str] | None = None) -> int:
     """Write the sheets; the exit code is 2, after one line, where the input was at fault."""
-    parser = argparse.ArgumentParser("scene.tags", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter,
-                                     epilog="Part of scene2skill. Tags are of the family 36h11.", exit_on_error=False)  # fmt: skip
+    parser = argparse.ArgumentParser(
+        "scene.tags", description=__doc__, epilog="Part of scene2skill. Tags are of the family 36h11.",
+        formatter_class=argparse.RawDescriptionHelpFormatter, exit_on_error=False,
+    )  # fmt: skip
     parser.add_argument("--ids", default="0-3", help="numbers and ranges, as 0-7,12 (default: 0-3)")
     parser.add_argument("--size", default="75", help="edge of the black square [mm] (default: 75)")
     parser.add_argument("--paper", default="a4", help="a4 or letter (default: a4)")
     parser.add_argument("--out", default="tags.pdf", help="the PDF to write (default: tags.pdf)")
-    parser.add_argument("--layout", help="also write this tags.json: the places of the tags on the uncut sheets, to be edited")
+    parser.add_argument("--layout", help="also write this tags.json: places on the uncut sheets, to be edited")
     try:
         given, unknown = parser.parse_known_args(arguments)
         if unknown:
@@ -34,10 +36,11 @@ def _write(given: argparse.Namespace):
 
     sheets = sheet.pages(ids, size, given.paper.lower())
     sheet.save(given.out, sheets)
-    print(f"{given.out}: {len(ids)} tags of {size:g} mm on {len(sheets)} page{'s'[: len(sheets) > 1]}; print at 100 % and measure the ruler")
+    many = "s" if len(sheets) > 1 else ""
+    print(f"{given.out}: {len(ids)} tags of {size:g} mm on {len(sheets)} page{many}; print at 100 %, measure the ruler")
     if given.layout:
         sheet.layout(sheets).save(given.layout)
-        print(f"{given.layout}: the uncut sheet's lower left corner is the origin; put in where the tags are in the robot's base [m]")
+        print(f"{given.layout}: from the uncut sheet's lower left corner; put in where they are in the robot's base")
 
 
 def numbers(text: str) -> list[int]:
