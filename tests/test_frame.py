@@ -39,6 +39,12 @@ def test_umeyama_finds_the_similarity_that_made_the_points(seed):
     assert np.allclose(found.matrix, true.matrix, atol=1e-8)
 
 
+def test_mirrored_points_are_answered_by_a_rotation_and_never_by_a_mirror():
+    points = np.random.default_rng(0).normal(size=(6, 3)) * [1, 0.8, 0.1]
+    found = frame.umeyama(points, points * [1, 1, -1])
+    assert np.linalg.det(found.rotation) == pytest.approx(1)
+
+
 def test_points_on_a_line_give_no_frame():
     line = np.linspace(0, 1, 6)[:, None] * [1.0, 2.0, 3.0]
     with pytest.raises(ReconstructionFailed, match="one line"):
