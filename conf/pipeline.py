@@ -46,15 +46,14 @@ def capture(job: Job, out: Path) -> dict:
 
 
 def reconstruct(job: Job, out: Path) -> dict:
-    """COLMAP finds the cameras; tags, where there are any, give the robot's frame in metres."""
+    """COLMAP finds the cameras; what lies beside the photographs (tags.json, ...) gives the robot's frame in metres."""
     from conf.evaluation import camera_errors
-    from scene.apriltag import TagLayout, align, gravity_frame
     from scene.camera import View
     from scene.dataset import load_photographs, save_views
 
+    frame_of = _setting(job, "scene.frame")(_beside(job))
     model = _setting(job, "scene.colmap")(load_photographs(_photographs(job)), out, seed=job.cfg.scene.seed, progress=_watched())
-    layout = _tags(job)
-    frame = align(model, TagLayout.load(layout)) if layout else gravity_frame(model.cameras, model.points)
+    frame = frame_of(model)
     views = [View(view.name, frame.move(view.camera), view.image) for view in model.views()]
     points, seen = frame.apply(model.points), {"colours": model.colours, "frame": frame.describe(), "original": frame.matrix}
     save_views(out, views, points=points, **seen)
@@ -62,11 +61,11 @@ def reconstruct(job: Job, out: Path) -> dict:
     log.info("  %(registered)d of %(total)d photographs registered, reprojection error %(reprojection_px).2f px", metrics)
     if model.unregistered:
         log.warning("  left out: %s", ", ".join(model.unregistered))
-    if layout:
-        metrics["frame_residual_mm"] = frame.residual_mm
-        log.info("  robot's frame from tags %s, residual %.1f mm", ", ".join(map(str, frame.tags)), frame.residual_mm)
-    else:
-        log.info("  no tags.json with the photographs: the frame is arbitrary in scale and place; z is up as the cameras were held")
+    metrics |= {f"frame_{key}": mm for key, mm in frame.describe().items() if key in ("residual_mm", "uncertainty_mm")}
+    residual = ", residual %(frame_residual_mm).1f mm" % metrics if "frame_residual_mm" in metrics else ""
+    log.info("  frame: %s, from %s%s", frame.frame, frame.rests_on, residual)
+    for warning in frame.warnings:
+        log.warning("  note: %s", warning)
     return metrics | camera_errors(views, _truth(job))
 
 
@@ -218,7 +217,7 @@ SCENE = ("scene.seed",)
 STAGES = (
     Stage("capture", capture, ("photos", "tags.json", "truth.json"), settings=("world", "robot.photographs", *SCENE), shared=True),
     Stage("reconstruct", reconstruct, ("images", "colmap", "sparse.ply", "transforms.json"),
-          settings=("scene.colmap", "scene.apriltag", *SCENE), inputs=lambda job: _fingerprint(job), shared=True),
+          settings=("scene.colmap", "scene.frame", *SCENE), inputs=lambda job: _fingerprint(job), shared=True),
     Stage("train", train, ("field.pt", "held_out"), ("reconstruct",), ("scene.fit", *SCENE), shared=True, resumable=True),
     Stage("render", render, ("views",), ("train",), ("scene.views", "world.sketch_views"), shared=True, resumable=True),
     Stage("sketch", sketch, ("sketches.json", "held_out.json", "intended.npz"), ("render",), ("user", "world", "seed")),
@@ -297,12 +296,9 @@ def _photographs(job: Job) -> Path:
     return Path(job.cfg.photos) if job.cfg.photos else job.capture / "photos"
 
 
-def _tags(job: Job) -> Path | None:
-    """The layout of the tags: scene.apriltag.layout, or tags.json with the photographs or where the world's capture left it."""
-    if job.cfg.scene.apriltag.layout:
-        return Path(job.cfg.scene.apriltag.layout)
-    beside = (Path(job.cfg.photos) if job.cfg.photos else job.capture) / "tags.json"
-    return beside if beside.exists() else None
+def _beside(job: Job) -> Path:
+    """Where the files lie that give the robot's frame: with the photographs, or where the world's capture left them."""
+    return Path(job.cfg.photos) if job.cfg.photos else job.capture
 
 
 def _truth(job: Job) -> dict | None:
@@ -312,10 +308,14 @@ def _truth(job: Job) -> dict | None:
 
 
 def _fingerprint(job: Job) -> dict[str, str]:
-    """Names and contents of what is reconstructed, so that other photographs are another scene."""
+    """Names and contents of what is reconstructed and of its frame, so that other photographs are another scene."""
+    from scene.frame import choose
+
     folder = _photographs(job)
     files = sorted(p for p in folder.glob("*") if p.is_file()) if folder.is_dir() else []
-    files += [_tags(job)] if _tags(job) else []
+    _, given, others = choose(_beside(job), job.cfg.scene.frame.method, job.cfg.scene.frame.file)
+    for path in (*([given] if given else []), *others):
+        files += sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path] * path.exists()
     return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
 
 

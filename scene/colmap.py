@@ -7,7 +7,7 @@ a process can be killed. What passes between the two is one JSON line in and fil
            colmap/sparse/0/      the model with the lens as it was estimated, for COLMAP
            colmap/model.npz      the Model
 
-Everything is in the model's own frame, which has no scale and any direction: scene.apriltag brings it to the robot.
+Everything is in the model's own frame, which has no scale and any direction: scene.frame brings it to the robot.
 Cameras are pinholes; pixel (0, 0) is the top-left corner of the top-left pixel, as everywhere here.
 """
 
@@ -21,7 +21,7 @@ import subprocess
 import sys
 import tempfile
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
@@ -192,7 +192,45 @@ def _show(bar: tqdm, message: dict):
     bar.refresh()
 
 
+def straighten(model: Model, pixels: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Pixels (N, 2) of photographs as they were taken (upright), by name -> of the undistorted pictures of ``model``.
+
+    ValueError for a photograph that is not in the model, or a pixel outside of it.
+    """
+    given = {name: np.asarray(p, dtype=float).reshape(-1, 2).tolist() for name, p in pixels.items()}
+    unknown = sorted(given.keys() - set(model.names))
+    if unknown:
+        left_out = " (left out by COLMAP)" if unknown[0] in model.unregistered else ""
+        raise ValueError(f"no photograph {unknown[0]}{left_out} in the model; there are {', '.join(model.names[:6])}, ...")
+    code = "import json, sys; sys.path[:] = json.loads(sys.argv[1]); from scene.colmap import _rays; _rays()"
+    command = [sys.executable, "-P", "-c", code, json.dumps([str(Path(__file__).parents[1]), *sys.path])]
+    settings = json.dumps({"sparse": str(model.sparse), "pixels": given})
+    answer = subprocess.run(command, input=settings, capture_output=True, text=True)
+    if answer.returncode:
+        last = answer.stderr.strip().splitlines()[-1:] or ["no message"]
+        raise ReconstructionFailed(f"{model.sparse} cannot be read: {last[0][-300:]}")
+    answer = json.loads(answer.stdout.splitlines()[-1])
+    outside = [name for name in given if answer["outside"][name]]
+    if outside:
+        raise ValueError(f"photograph {outside[0]} has no pixel {given[outside[0]]}: {answer['outside'][outside[0]]}")
+    lenses = {name: camera.K for name, camera in zip(model.names, model.cameras, strict=True)}
+    return {name: np.array(rays) @ lenses[name][:2, :2].T + lenses[name][:2, 2] for name, rays in answer["rays"].items()}
+
+
 # What follows runs in the worker process only.
+
+
+def _rays():
+    """Read photographs' pixels, answer with x / z, y / z of the rays that the estimated lens sends through them."""
+    settings = json.loads(sys.stdin.readline())
+    model = _pycolmap().Reconstruction(settings["sparse"])
+    lenses = {Path(image.name).stem: model.cameras[image.camera_id] for image in model.images.values()}
+    rays, outside = {}, {}
+    for name, pixels in settings["pixels"].items():
+        pixels, size = np.array(pixels), (lenses[name].width, lenses[name].height)
+        rays[name] = np.asarray(lenses[name].cam_from_img(pixels)).tolist()
+        outside[name] = f"it is {size[0]}x{size[1]}" if (pixels < 0).any() or (pixels > size).any() else ""
+    print(json.dumps({"rays": rays, "outside": outside}))
 
 
 def _work():

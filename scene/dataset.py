@@ -10,8 +10,8 @@ A capture folder holds one scene in nerfstudio's convention, so that nerfstudio 
 Pixels: nerfstudio and instant-ngp send the ray of pixel column i through (i + 0.5 - cx) / fl_x and take cx, cy from
 COLMAP as they are, so cx, cy mean the same here, there and in COLMAP, and nothing is added or taken away.
 
-What nerfstudio has no word for stands under the key "scene2skill", which it ignores: the frame (its name, "robot base"
-or "arbitrary", its unit, how well it is known) and ``world_from_original``, the similarity from the
+What nerfstudio has no word for stands under the key "scene2skill", which it ignores: the frame (its name, "robot base",
+"level" or "arbitrary", its unit, what it rests on and how well it is known: scene.frame) and ``world_from_original``, the similarity from the
 reconstruction's own frame.
 """
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from scene import apriltag, colmap, dataset
+from scene import apriltag, colmap, dataset, frame
 from scene.camera import Camera, look_at
 
 DATA = Path(__file__).parents[2] / "shared" / "data"
@@ -125,7 +125,7 @@ def camera_errors(model, similarity, true):
 def test_every_photograph_is_registered_and_the_cameras_are_right_up_to_a_similarity(capture):
     _, _, model = capture
     true = cameras(12)
-    similarity = apriltag.umeyama(np.array([c.centre for c in model.cameras]), np.array([c.centre for c in true]))
+    similarity = frame.umeyama(np.array([c.centre for c in model.cameras]), np.array([c.centre for c in true]))
     mm, degrees = camera_errors(model, similarity, true)
     assert (model.registered, model.total, model.unregistered) == (12, 12, ())
     assert model.names == tuple(f"{i:02d} photo" for i in range(12))
@@ -138,7 +138,7 @@ def test_tags_bring_the_model_to_the_robots_frame(capture):
     _, _, model = capture
     similarity = apriltag.align(model, tag_layout())
     mm, degrees = camera_errors(model, similarity, cameras(12))
-    assert similarity.residual_mm < 5 and len(similarity.tags) >= 3
+    assert similarity.residual_mm < 5 and len(similarity.used) >= 3
     assert np.median(mm) < 6 and np.median(degrees) < 0.3
     on_floor = np.abs(similarity.apply(model.points)[:, 2]) < 0.01
     assert on_floor.mean() > 0.5
@@ -146,7 +146,7 @@ def test_tags_bring_the_model_to_the_robots_frame(capture):
 
 def test_gravity_points_up_in_a_frame_without_tags(capture):
     _, _, model = capture
-    to_robot, arbitrary = apriltag.align(model, tag_layout()), apriltag.gravity_frame(model.cameras, model.points)
+    to_robot, arbitrary = apriltag.align(model, tag_layout()), frame.gravity_frame(model.cameras, model.points)
     up = to_robot.rotation @ arbitrary.rotation.T @ [0, 0, 1]
     assert np.degrees(np.arccos(up[2])) < 1
     assert arbitrary.frame == "arbitrary"
@@ -189,7 +189,7 @@ def test_a_bent_lens_is_straightened_and_large_pictures_are_scaled(tmp_path):
     assert model.registered >= 7 and model.views()[0].image.shape == (240, 320, 3)
     assert all(view.image.min(axis=-1)[[0, -1]].any() for view in model.views())
     true = [camera for i, camera in enumerate(cameras(8, 360, 270)) if str(i) in model.names]
-    similarity = apriltag.umeyama(np.array([c.centre for c in model.cameras]), np.array([c.centre for c in true]))
+    similarity = frame.umeyama(np.array([c.centre for c in model.cameras]), np.array([c.centre for c in true]))
     assert np.median(camera_errors(model, similarity, true)[0]) < 5
     for view in model.views()[:3]:  # the straightened picture is what a pinhole there would have taken
         pinhole = render(faces, similarity.move(view.camera))
@@ -296,6 +296,6 @@ def test_at_least_fifteen_of_the_sixteen_banana_photographs_register(tmp_path):
     model = colmap.reconstruct(dataset.load_photographs(tmp_path / "photographs"), tmp_path, progress=False)
     assert model.registered >= 15 and model.reprojection_px < 1
     assert model.views()[0].image.shape == (681, 1024, 3)
-    frame = apriltag.gravity_frame(model.cameras, model.points)
-    heights = [frame.move(camera).centre[2] for camera in model.cameras]
+    level = frame.gravity_frame(model.cameras, model.points)
+    heights = [level.move(camera).centre[2] for camera in model.cameras]
     assert min(heights) > 0.1, "all photographs were taken from above the carpet"

@@ -11,7 +11,7 @@ from PIL import Image
 
 ROOT = Path(__file__).parents[1]
 COMMAND = Path(sys.executable).with_name("scene2skill")
-MODULES = ("robot.capture", "scene.reconstruct", "scene.train", "scene.render", "teach.draw", "teach.fit", "robot.plan", "robot.execute", "conf.pipeline")  # fmt: skip
+MODULES = ("robot.capture", "scene.reconstruct", "scene.train", "scene.render", "scene.tags", "teach.draw", "teach.fit", "robot.plan", "robot.execute", "conf.pipeline")  # fmt: skip
 
 
 def scene2skill(*arguments, cwd):
@@ -96,6 +96,19 @@ def test_pictures_of_different_sizes(tmp_path):
     folder = photographs(tmp_path / "mixed")
     Image.new("RGB", (32, 32)).save(folder / "9.png")
     refused(scene2skill("photos=mixed", cwd=tmp_path), "size")
+
+
+@pytest.mark.parametrize(("name", "word"), [("tags.json", "tags"), ("arm_poses.json", "base_from_flange"), ("distance.json", "from"), ("poses.json", "frames")])
+def test_a_broken_file_of_the_robots_frame_is_named_before_anything_is_reconstructed(tmp_path, name, word):
+    folder = photographs(tmp_path / "scene")
+    (folder / name).write_text('{"distance": 1}' if name == "distance.json" else '{"family": "36h11"}')
+    refused(scene2skill("photos=scene", cwd=tmp_path), name, f"missing {word}")
+    assert not list(tmp_path.glob("data/scene/*.json")) and not list(tmp_path.glob("data/scene/images"))
+
+
+def test_a_frame_without_its_file_names_the_file(tmp_path):
+    photographs(tmp_path / "scene")
+    refused(scene2skill("photos=scene", "scene/frame=arm", cwd=tmp_path), "arm_poses.json", "scene.frame.file")
 
 
 def test_pictures_that_do_not_overlap(tmp_path):
