@@ -242,6 +242,10 @@ def whole_job(job: Job) -> None:
             log.warning("execute\n  left out: there is no feasible plan")
         else:
             _do(stage, job, records)
+        if stage.name == "render" and "render" in wanted and job.settings("scene.paths"):
+            from conf.rendering import render_path
+
+            log.info("  %(frames)d frames along the path, %(rendered)d rendered now: %(folder)s", render_path(job, partial(_progress, title="path")))
     if "report" in wanted:
         from conf.report import write_report
 

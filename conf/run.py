@@ -22,6 +22,9 @@ from conf.stages import Job, write_json
 
 log = logging.getLogger("scene2skill")
 
+BESIDE = ("paths", "film")
+"""Groups of scene that a capture folder does not depend on: what they make lies beside the rest, under its own name."""
+
 USER_ERRORS = (ValueError, OSError, HydraException, OmegaConfBaseException)
 VERSIONS = ("scene2skill", "torch", "numpy", "pycolmap", "pybullet", "numba", "zuko", "toppra", "hydra-core")
 
@@ -113,6 +116,7 @@ def _scene_key(cfg: DictConfig) -> int:
 
     parts = {"world": cfg.world, "photographs": cfg.robot.photographs, "scene": cfg.scene}
     plain = {name: OmegaConf.to_container(node, resolve=True) for name, node in parts.items()}
+    plain["scene"] = {name: part for name, part in plain["scene"].items() if name not in BESIDE}
     return zlib.crc32(json.dumps(plain, sort_keys=True).encode())
 
 

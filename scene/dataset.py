@@ -211,21 +211,36 @@ def save_views(
     folder = Path(folder)
     if not views:
         raise ValueError(f"no views to save to {folder}")
-    shared = _intrinsics(views[0].camera)
-    frames = []
-    for view in views:
-        own = _intrinsics(view.camera)
-        pose = (view.camera.world_from_camera @ OPENCV_FROM_OPENGL).tolist()
-        path = _save_picture(folder / images, view)
-        frames.append({"file_path": f"{images}/{path.name}", "transform_matrix": pose} | (own if own != shared else {}))
-    meta = {"camera_model": "OPENCV", **shared, "frames": frames}
+    files = [f"{images}/{_save_picture(folder / images, view).name}" for view in views]
+    cameras = {file: view.camera for file, view in zip(files, views, strict=True)}
     if points is not None:
         save_points(folder / "sparse.ply", points, colours)
-        meta["ply_file_path"] = "sparse.ply"
+    save_cameras(folder, cameras, ply="sparse.ply" if points is not None else None, frame=frame, original=original)
+
+
+def save_cameras(
+    folder: str | Path,
+    cameras: dict[str, Camera],
+    *,
+    ply: str | None = None,
+    frame: dict | None = None,
+    original: np.ndarray | None = None,
+):
+    """Write transforms.json alone: the cameras of pictures, which are named relative to ``folder``. See ``save_views``."""
+    shared = _intrinsics(next(iter(cameras.values())))
+    frames = []
+    for file, camera in cameras.items():
+        own = _intrinsics(camera)
+        pose = (camera.world_from_camera @ OPENCV_FROM_OPENGL).tolist()
+        frames.append({"file_path": file, "transform_matrix": pose} | (own if own != shared else {}))
+    # without applied_transform nerfstudio takes a folder with colmap/sparse/0 for one whose axes were exchanged
+    meta = {"camera_model": "OPENCV", **shared, "applied_transform": np.eye(4)[:3].tolist(), "frames": frames}
+    if ply is not None:
+        meta["ply_file_path"] = ply
     meta["scene2skill"] = {"version": 1, "frame": {"name": "arbitrary", "unit": "arbitrary"} | (frame or {})}
     if original is not None:
         meta["scene2skill"]["world_from_original"] = np.asarray(original, dtype=float).tolist()
-    with replacing(folder / "transforms.json") as temporary:
+    with replacing(Path(folder) / "transforms.json") as temporary:
         temporary.write_text(json.dumps(meta, indent=1, allow_nan=False), encoding="utf-8")
 
 

@@ -71,6 +71,14 @@ def test_a_stage_without_the_files_it_needs_says_which_stage_makes_them(tmp_path
     refused(scene2skill("stages=[train]", cwd=tmp_path), "train", "reconstruct")
 
 
+def test_a_path_in_a_file_needs_the_field_first(tmp_path):
+    refused(scene2skill("stages=[render]", "scene/paths=file", "scene.paths.file=no.json", cwd=tmp_path), "render", "train")
+
+
+def test_an_unknown_path_names_the_known_ones(tmp_path):
+    refused(scene2skill("stages=[render]", "scene/paths=spirale", cwd=tmp_path), "spirale", "interpolate")
+
+
 def test_no_such_folder(tmp_path):
     refused(scene2skill("photos=nowhere", cwd=tmp_path), "nowhere")
 
