@@ -11,6 +11,7 @@ files into ``out`` and returns what it measured.
 import hashlib
 import json
 import logging
+import os
 import sys
 import time
 from functools import partial
@@ -21,6 +22,7 @@ from hydra.utils import instantiate
 from conf import stages
 from conf.run import launch
 from conf.stages import Job, Record, Stage, write_json
+from scene.inputs import recognise
 
 log = logging.getLogger("scene2skill")
 
@@ -46,25 +48,38 @@ def capture(job: Job, out: Path) -> dict:
 
 
 def reconstruct(job: Job, out: Path) -> dict:
-    """COLMAP finds the cameras; tags, where there are any, give the robot's frame in metres."""
+    """COLMAP finds the cameras, unless they are given; tags, where there are any, give the robot's frame in metres."""
+    import numpy as np
+
     from conf.evaluation import camera_errors
+    from conf.reconstruction import model_of
     from scene.apriltag import TagLayout, align, gravity_frame
     from scene.camera import View
-    from scene.dataset import load_photographs, save_views
+    from scene.dataset import save_views
 
-    model = _setting(job, "scene.colmap")(load_photographs(_photographs(job)), out, seed=job.cfg.scene.seed, progress=_watched())
-    layout = _tags(job)
-    frame = align(model, TagLayout.load(layout)) if layout else gravity_frame(model.cameras, model.points)
-    views = [View(view.name, frame.move(view.camera), view.image) for view in model.views()]
-    points, seen = frame.apply(model.points), {"colours": model.colours, "frame": frame.describe(), "original": frame.matrix}
-    save_views(out, views, points=points, **seen)
-    metrics = {"registered": model.registered, "total": model.total, "reprojection_px": model.reprojection_px}
-    log.info("  %(registered)d of %(total)d photographs registered, reprojection error %(reprojection_px).2f px", metrics)
+    model, given = model_of(job, _photographs(job), out, _setting, _watched())
+    layout = None if given is not None and given.frame["name"] == "robot base" else _tags(job)
+    original = np.eye(4) if given is None else given.original
+    if layout or given is None:
+        frame = align(model, TagLayout.load(layout)) if layout else gravity_frame(model.cameras, model.points)
+        views = [View(view.name, frame.move(view.camera), view.image) for view in model.views()]
+        points, known = frame.apply(model.points), {"frame": frame.describe(), "original": frame.matrix @ original}
+    else:
+        views, points, known = model.views(), model.points, {"frame": given.frame, "original": original}
+    save_views(out, views, points=points, colours=model.colours, **known)
+    metrics = {"registered": model.registered, "total": model.total}
+    if np.isfinite(model.reprojection_px):
+        metrics["reprojection_px"] = model.reprojection_px
+        log.info("  %(registered)d of %(total)d photographs registered, reprojection error %(reprojection_px).2f px", metrics)
+    else:
+        log.info("  %(registered)d photographs with their cameras", metrics)
     if model.unregistered:
         log.warning("  left out: %s", ", ".join(model.unregistered))
     if layout:
         metrics["frame_residual_mm"] = frame.residual_mm
         log.info("  robot's frame from tags %s, residual %.1f mm", ", ".join(map(str, frame.tags)), frame.residual_mm)
+    elif given is not None:
+        log.info("  the cameras' frame is kept as it is: %(name)s, unit %(unit)s", given.frame)
     else:
         log.info("  no tags.json with the photographs: the frame is arbitrary in scale and place; z is up as the cameras were held")
     return metrics | camera_errors(views, _truth(job))
@@ -80,7 +95,7 @@ def train(job: Job, out: Path) -> dict:
     training, held_out = split(views)
     started = time.perf_counter()
     field = _setting(job, "scene.fit")(
-        training, points=points, colours=colours, seed=job.cfg.scene.seed, checkpoint=out / "checkpoint.npz", progress=_watched()
+        training, points=points if len(points) else None, colours=colours, seed=job.cfg.scene.seed, checkpoint=out / "checkpoint.npz", progress=_watched()
     )
     metrics = {"seconds": time.perf_counter() - started}
     field.save(out / "field.pt")
@@ -218,7 +233,7 @@ SCENE = ("scene.seed",)
 STAGES = (
     Stage("capture", capture, ("photos", "tags.json", "truth.json"), settings=("world", "robot.photographs", *SCENE), shared=True),
     Stage("reconstruct", reconstruct, ("images", "colmap", "sparse.ply", "transforms.json"),
-          settings=("scene.colmap", "scene.apriltag", *SCENE), inputs=lambda job: _fingerprint(job), shared=True),
+          settings=("scene.colmap", "scene.apriltag", "scene.video", *SCENE), inputs=lambda job: _fingerprint(job), shared=True),
     Stage("train", train, ("field.pt", "held_out"), ("reconstruct",), ("scene.fit", *SCENE), shared=True, resumable=True),
     Stage("render", render, ("views",), ("train",), ("scene.views", "world.sketch_views"), shared=True, resumable=True),
     Stage("sketch", sketch, ("sketches.json", "held_out.json", "intended.npz"), ("render",), ("user", "world", "seed")),
@@ -305,7 +320,7 @@ def _tags(job: Job) -> Path | None:
     """The layout of the tags: scene.apriltag.layout, or tags.json with the photographs or where the world's capture left it."""
     if job.cfg.scene.apriltag.layout:
         return Path(job.cfg.scene.apriltag.layout)
-    beside = (Path(job.cfg.photos) if job.cfg.photos else job.capture) / "tags.json"
+    beside = (recognise(job.cfg.photos).folder if job.cfg.photos else job.capture) / "tags.json"
     return beside if beside.exists() else None
 
 
@@ -317,10 +332,10 @@ def _truth(job: Job) -> dict | None:
 
 def _fingerprint(job: Job) -> dict[str, str]:
     """Names and contents of what is reconstructed, so that other photographs are another scene."""
-    folder = _photographs(job)
-    files = sorted(p for p in folder.glob("*") if p.is_file()) if folder.is_dir() else []
-    files += [_tags(job)] if _tags(job) else []
-    return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
+    source = recognise(_photographs(job)) if job.cfg.photos or _photographs(job).exists() else None
+    files = {os.path.relpath(path, source.folder): path for path in source.files()} if source else {}
+    files |= {path.name: path for path in (_tags(job),) if path}
+    return {name: hashlib.sha256(path.read_bytes()).hexdigest() for name, path in files.items()}
 
 
 def _stored_sketches(job: Job) -> Path:

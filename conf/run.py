@@ -19,6 +19,7 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from conf.stages import Job, write_json
+from scene.inputs import scene_name
 
 log = logging.getLogger("scene2skill")
 
@@ -105,7 +106,7 @@ def capture_folder(cfg: DictConfig) -> Path:
     """
     if cfg.data:
         return Path(cfg.data).resolve()
-    name = Path(cfg.photos).resolve().name if cfg.photos else cfg.world.name
+    name = scene_name(cfg.photos) if cfg.photos else cfg.world.name
     shipped = hydra.compose("config", overrides=[f"world={HydraConfig.get().runtime.choices.world}"])
     key = _scene_key(cfg)
     return Path("data", name if key == _scene_key(shipped) else f"{name}-{key:08x}").resolve()
