@@ -233,7 +233,7 @@ SCENE = ("scene.seed",)
 STAGES = (
     Stage("capture", capture, ("photos", "tags.json", "truth.json"), settings=("world", "robot.photographs", *SCENE), shared=True),
     Stage("reconstruct", reconstruct, ("images", "colmap", "sparse.ply", "transforms.json"),
-          settings=("scene.colmap", "scene.apriltag", "scene.video", *SCENE), inputs=lambda job: _fingerprint(job), shared=True),
+          settings=("scene.colmap", "scene.apriltag", *SCENE), inputs=lambda job: _fingerprint(job), shared=True),
     Stage("train", train, ("field.pt", "held_out"), ("reconstruct",), ("scene.fit", *SCENE), shared=True, resumable=True),
     Stage("render", render, ("views",), ("train",), ("scene.views", "world.sketch_views"), shared=True, resumable=True),
     Stage("sketch", sketch, ("sketches.json", "held_out.json", "intended.npz"), ("render",), ("user", "world", "seed")),
@@ -335,7 +335,8 @@ def _fingerprint(job: Job) -> dict[str, str]:
     source = recognise(_photographs(job)) if job.cfg.photos or _photographs(job).exists() else None
     files = {os.path.relpath(path, source.folder): path for path in source.files()} if source else {}
     files |= {path.name: path for path in (_tags(job),) if path}
-    return {name: hashlib.sha256(path.read_bytes()).hexdigest() for name, path in files.items()}
+    went_in = {name: hashlib.sha256(path.read_bytes()).hexdigest() for name, path in files.items()}
+    return went_in | ({"scene.video": str(job.settings("scene.video"))} if source and source.kind == "video" else {})
 
 
 def _stored_sketches(job: Job) -> Path:
