@@ -95,8 +95,9 @@ def train(job: Job, out: Path) -> dict:
     training, held_out = split(views)
     started = time.perf_counter()
     field = _setting(job, "scene.fit")(
-        training, points=points if len(points) else None, colours=colours, seed=job.cfg.scene.seed, checkpoint=out / "checkpoint.npz", progress=_watched()
-    )
+        training, points=points if len(points) else None, colours=colours, seed=job.cfg.scene.seed,
+        checkpoint=out / "checkpoint.npz", progress=_watched(),
+    )  # fmt: skip
     metrics = {"seconds": time.perf_counter() - started}
     field.save(out / "field.pt")
     metrics |= field_errors(field, held_out, out / "held_out", job.settings("world") if _truth(job) else None)
@@ -260,7 +261,8 @@ def whole_job(job: Job) -> None:
         if stage.name == "render" and "render" in wanted and job.settings("scene.paths"):
             from conf.rendering import render_path
 
-            log.info("  %(frames)d frames along the path, %(rendered)d rendered now: %(folder)s", render_path(job, partial(_progress, title="path")))
+            film = render_path(job, partial(_progress, title="path"))
+            log.info("  %(frames)d frames along the path, %(rendered)d rendered now: %(folder)s", film)
     if "report" in wanted:
         from conf.report import write_report
 

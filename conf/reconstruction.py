@@ -20,7 +20,7 @@ class Given:
 
 
 def model_of(job: Job, photographs: Path, out: Path, setting, progress: bool):
-    """(scene.colmap.Model in ``out``, Given or None where COLMAP had to find the cameras). setting: conf.pipeline's."""
+    """(Model in ``out``, Given or None where COLMAP had to find the cameras). setting(job, key): as in conf.pipeline."""
     from scene import colmap, transforms
     from scene.dataset import load_photographs
     from scene.inputs import recognise

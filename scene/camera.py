@@ -112,7 +112,7 @@ class Camera:
         return replace(self, K=scale @ self.K, width=width, height=height)
 
     def cropped(self, width: int, height: int) -> "Camera":
-        """The camera with a picture of another shape: cropped (never stretched) about the principal point, pixels square."""
+        """The camera with a picture of another shape, cropped (never stretched) about the principal point."""
         focal = self.K[0, 0] * max(width / self.width, height / self.height)
         return replace(self, K=[[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]], width=width, height=height)
 

@@ -142,7 +142,9 @@ def reconstruct(
         shutil.rmtree(unfinished, ignore_errors=True)
 
 
-def adopt(given: Posed | Path, images: str | Path, work: str | Path, *, max_size: int = 1024, progress: bool = True) -> Model:
+def adopt(
+    given: Posed | Path, images: str | Path, work: str | Path, *, max_size: int = 1024, progress: bool = True
+) -> Model:
     """Take cameras that are known already as they are, in their own frame; write ``work``, see above.
 
     given: Posed, or the folder of a COLMAP model whose pictures lie in ``images``. Points of a Posed come without what
@@ -287,7 +289,8 @@ def _adopt(folder, names, images, max_size, say, sparse=None, **given):
             raise ReconstructionFailed(f"{sparse} is not a readable COLMAP model: {error}") from error
     posed = [image for image in model.images.values() if image.has_pose]
     if len(posed) < FEWEST_PHOTOGRAPHS:
-        raise ReconstructionFailed(f"only {len(posed)} pictures have cameras; a scene needs {FEWEST_PHOTOGRAPHS}, better 30")
+        needed = f"a scene needs {FEWEST_PHOTOGRAPHS}, better 30"
+        raise ReconstructionFailed(f"only {len(posed)} pictures have cameras; {needed}")
     _check_pictures(images, [(image.name, model.cameras[image.camera_id]) for image in posed])
     (folder / "colmap" / "sparse" / "0").mkdir(parents=True)
     model.write(folder / "colmap" / "sparse" / "0")
@@ -533,7 +536,8 @@ def _write_results(model, folder, names, max_size, straight, say, photographs=No
         scale = min(1, max_size / max(full.width, full.height))
         cameras.append(full.resized(round(full.width * scale), round(full.height * scale)))
         source = (photographs or folder / "photographs") / image.name
-        files.append(_undistort(source, folder / "images" / _flat(image.name), None if straight else lens, full, cameras[-1]))
+        target = folder / "images" / _flat(image.name)
+        files.append(_undistort(source, target, None if straight else lens, full, cameras[-1]))
         say(count=len(files))
     points = [model.points3D[number] for number in sorted(model.points3D)]
     registered = {image.name for image in images}
@@ -561,7 +565,7 @@ def _world_from_camera(image) -> np.ndarray:
 
 
 def _undistort(source, stem, lens, full, camera) -> Path:
-    """Write one picture as ``camera`` sees it to ``stem`` with an ending; one that needs no change is copied bit by bit."""
+    """Write one picture as ``camera`` sees it to ``stem`` with an ending; without a change it is copied bit by bit."""
     unchanged = lens is None and (full.width, full.height) == (camera.width, camera.height)
     if unchanged and source.suffix.lower() in (".png", ".jpg", ".jpeg"):
         stem.parent.mkdir(exist_ok=True)

@@ -3,7 +3,7 @@
     <folder>/<name>.png  <name>_depth.npy     picture; depth, float32 [m along z], nan where nothing is hit
              <name>_depth.png                 if asked: the same, 16 bits, in millimetres, 0 where nothing is hit
              transforms.json                  the cameras (nerfstudio's), written when all pictures are there
-             planned.json                     what the pictures are of, so that those of another path or field are made anew
+             planned.json                     what the pictures are of: those of another path or field are made anew
 """
 
 import json

@@ -1,9 +1,9 @@
 """What a person gives as photographs: pictures, a video, or pictures whose cameras are known already.
 
-    photographs    a folder of pictures                                      -> COLMAP finds the cameras
-    video          .mp4, .mov, .avi, ...                                     -> sharp frames (scene.video), then COLMAP
-    transforms     transforms.json of nerfstudio or instant-ngp, or its folder   -> cameras as they are (scene.transforms)
-    colmap         a folder with sparse/0 and images                         -> cameras as they are (scene.colmap.adopt)
+    photographs    a folder of pictures                                     -> COLMAP finds the cameras
+    video          .mp4, .mov, .avi, ...                                    -> sharp frames (scene.video), then COLMAP
+    transforms     a transforms.json (nerfstudio, instant-ngp) or its folder  -> cameras as they are (scene.transforms)
+    colmap         a folder with sparse/0 and images                        -> cameras as they are (scene.colmap.adopt)
 """
 
 from collections.abc import Sequence
@@ -70,4 +70,6 @@ def recognise(given: str | Path) -> Source:
 def scene_name(given: str | Path) -> str:
     """What a scene made of ``given`` is called: by its folder, or by its video."""
     path = Path(given).resolve()
-    return path.stem if path.suffix.lower() in VIDEOS else path.parent.name if path.suffix.lower() == ".json" else path.name
+    if path.suffix.lower() == ".json":
+        return path.parent.name
+    return path.stem if path.suffix.lower() in VIDEOS else path.name

@@ -4,7 +4,8 @@
                         "render_width": 640, "render_height": 480, "fps": 24}
                        camera_to_world by rows, with OpenGL axes (x right, y up, z back); fov is the vertical one [deg]
     poses              [[[4 x 4]], ...], or {"poses": [[[4 x 4]], ...]} with any of "names", "width", "height",
-                       "fov_deg" (horizontal) and "fps": world_from_camera [m] with OpenCV axes (x right, y down, z forward)
+                       "fov_deg" (horizontal) and "fps": world_from_camera [m] with OpenCV axes
+                       (x right, y down, z forward)
 
 nerfstudio turns, moves and scales a scene before it trains; what it did stands in the dataparser_transforms.json that
 it writes beside its own files. Where that lies beside the camera path, it is undone, else the frames are taken for the

@@ -53,7 +53,8 @@ def spiral(cameras: Sequence[Camera], *, frames: int = 90, turns: float = 2.0, w
         azimuth = np.radians(start) + 2 * np.pi * turns * along
     else:
         azimuth = np.radians(start + sweep / 2 * (1 - np.cos(2 * np.pi * turns * along)))
-    sides = np.stack([np.cos(azimuth) * np.cos(elevation), np.sin(azimuth) * np.cos(elevation), np.sin(elevation)], axis=1)
+    level = np.cos(elevation)
+    sides = np.stack([np.cos(azimuth) * level, np.sin(azimuth) * level, np.sin(elevation)], axis=1)
     return CameraPath.through([look_at(target + radius * side, target) for side in sides], cameras[0])
 
 
@@ -102,7 +103,8 @@ def _photographed(cameras) -> tuple[np.ndarray, float, np.ndarray, float, float]
     widest = int(np.argmax(gaps))
     whole = gaps[widest] <= MOST_GAP_DEG
     start, sweep = (0.0, 360.0) if whole else (azimuths[(widest + 1) % len(azimuths)], 360 - gaps[widest])
-    return target, float(np.median(distances)), np.arcsin(offsets[:, 2] / np.maximum(distances, 1e-12)), float(start), float(sweep)
+    elevations = np.arcsin(offsets[:, 2] / np.maximum(distances, 1e-12))
+    return target, float(np.median(distances)), elevations, float(start), float(sweep)
 
 
 def _checked(frames: int) -> int:
@@ -147,7 +149,7 @@ def _short_tour(apart) -> np.ndarray:
 
 
 def _shares(gaps, steps: int) -> np.ndarray:
-    """Whole steps for each gap (G,), at least one, together ``steps``, as near to the gaps' proportions as that allows."""
+    """Whole steps for each gap (G,), at least one, together ``steps``, nearly in the gaps' proportions."""
     shares = np.ones(len(gaps), dtype=int)
     for _ in range(steps - len(gaps)):
         shares[np.argmax(gaps / shares)] += 1

@@ -28,7 +28,7 @@ FISHEYE = ("OPENCV_FISHEYE", "FISHEYE")
 class Posed:
     """Pictures with known cameras.
 
-    names: (N,) of the pictures, relative to ``root``. lenses: (N,) of {model, width, height, params}, as COLMAP has them.
+    names: (N,) of the pictures, relative to ``root``. lenses: (N,) of COLMAP's model, width, height, params.
     poses: (N, 4, 4) world_from_camera, OpenCV axes. ply: file of points in the same frame, if there is one.
     frame: as in scene.dataset.load_frame. original: (4, 4) how that frame came from an earlier one.
     """

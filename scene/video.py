@@ -5,7 +5,7 @@ has moved since the last frame that was kept is the dense optical flow between t
 """
 
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -76,9 +76,16 @@ def _look(file: Path, frames: int) -> list[_Seen]:
     for number, image in _decoded(file):
         if number % step == 0:
             grey = cv2.cvtColor(image(), cv2.COLOR_RGB2GRAY)
-            small = lambda width: cv2.resize(grey, (width, max(8, grey.shape[0] * width // grey.shape[1])), interpolation=cv2.INTER_AREA)
-            seen.append(_Seen(number, sharpness(small(min(WIDTH, grey.shape[1]))), small(THUMB)))
+            measured = _narrowed(grey, min(WIDTH, grey.shape[1]))
+            seen.append(_Seen(number, sharpness(measured), _narrowed(grey, THUMB)))
     return seen
+
+
+def _narrowed(grey: np.ndarray, width: int) -> np.ndarray:
+    import cv2
+
+    height = max(8, grey.shape[0] * width // grey.shape[1])
+    return cv2.resize(grey, (width, height), interpolation=cv2.INTER_AREA)
 
 
 def _sharpest(seen: list[_Seen], frames: int, file: Path) -> list[_Seen]:
@@ -106,7 +113,7 @@ def _distinct(sharp: list[_Seen], file: Path) -> list[_Seen]:
     return kept
 
 
-def _decoded(file: Path) -> Iterator[tuple[int, "callable"]]:
+def _decoded(file: Path) -> Iterator[tuple[int, Callable[[], np.ndarray]]]:
     """Number and picture of each frame; the picture (H, W, 3) uint8 is made, upright, when it is called."""
     import av
 

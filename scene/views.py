@@ -51,7 +51,9 @@ def given(eyes: list[dict], *, width=640, height=480) -> list[Camera]:
     return [Camera.from_fov(look_at(v["eye"], v["target"]), width, height, v["fov_deg"]) for v in eyes]
 
 
-def render(field, cameras: dict[str, Camera], folder: Path, progress=None, *, depth: bool = True, **limits) -> list[View]:
+def render(
+    field, cameras: dict[str, Camera], folder: Path, progress=None, *, depth: bool = True, **limits
+) -> list[View]:
     """Render every named camera: ``<name>.png`` and, with ``depth``, ``<name>_depth.npy`` (see ``load_depths``).
 
     What is already there whole is read, not rendered: a killed job goes on. limits: near and far of ``Field.render``.

@@ -25,7 +25,8 @@ def written(folder, edit=lambda meta: None, name="transforms.json", **lens):
     (folder / "images").mkdir(parents=True, exist_ok=True)
     for i in range(len(POSES)):
         Image.fromarray(picture(i)).save(folder / "images" / f"f{i}.png")
-    frames = [{"file_path": f"./images/f{i}.png", "transform_matrix": (pose @ OPENCV_FROM_OPENGL).tolist()} for i, pose in enumerate(POSES)]
+    poses = [(pose @ OPENCV_FROM_OPENGL).tolist() for pose in POSES]
+    frames = [{"file_path": f"./images/f{i}.png", "transform_matrix": pose} for i, pose in enumerate(poses)]
     meta = {"camera_model": "OPENCV", **LENS, **lens, "frames": frames}
     edit(meta)
     (folder / name).write_text(json.dumps(meta))
@@ -69,20 +70,23 @@ def test_pictures_of_a_bent_lens_are_undistorted(tmp_path):
     _, model = adopted(written(tmp_path, **BENT), tmp_path / "work")
     view = model.views()[0]
     assert not np.array_equal(view.image, picture(0))
-    K, shift = np.array([[60, 0, 31], [0, 61, 25], [0, 0, 1.0]]), np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
-    maps = cv2.initUndistortRectifyMap(K - shift, np.array([-0.08, 0.01, 0.001, -0.002]), None, view.camera.K - shift, (64, 48), cv2.CV_32FC1)
+    K, half = np.array([[60, 0, 31], [0, 61, 25], [0, 0, 1.0]]), np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
+    bent = np.array(list(BENT.values()))
+    maps = cv2.initUndistortRectifyMap(K - half, bent, None, view.camera.K - half, (64, 48), cv2.CV_32FC1)
     theirs = cv2.remap(picture(0), *maps, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
     assert np.abs(theirs.astype(int) - view.image).max() <= 2
 
 
 def test_what_is_saved_of_given_cameras_is_given_again_unchanged(tmp_path):
     """Out of a capture folder, and in again: frame, scale and intrinsics."""
-    views = [View(f"v{i}", Camera([[60, 0, 31], [0, 61, 25], [0, 0, 1]], pose, 64, 48), picture(i)) for i, pose in enumerate(POSES)]
+    K = [[60, 0, 31], [0, 61, 25], [0, 0, 1]]
+    views = [View(f"v{i}", Camera(K, pose, 64, 48), picture(i)) for i, pose in enumerate(POSES)]
     original = np.diag([2.0, 2, 2, 1])
     points = np.arange(9.0).reshape(3, 3)
-    dataset.save_views(tmp_path / "a", views, points=points, frame={"name": "robot base", "unit": "m"}, original=original)
+    frame = {"name": "robot base", "unit": "m"}
+    dataset.save_views(tmp_path / "a", views, points=points, frame=frame, original=original)
     posed, model = adopted(tmp_path / "a", tmp_path / "work")
-    assert posed.frame == {"name": "robot base", "unit": "m"} and np.array_equal(posed.original, original)
+    assert posed.frame == frame and np.array_equal(posed.original, original)
     for view, again in zip(views, model.views(), strict=True):
         assert again.name == view.name and np.array_equal(again.image, view.image)
         assert again.camera.world_from_camera == pytest.approx(view.camera.world_from_camera, abs=1e-12)
@@ -133,7 +137,8 @@ def test_a_model_of_colmap_comes_out_as_it_went_in(tmp_path):
     model = colmap.adopt(source.path, source.images, tmp_path / "second", progress=False)
     for a, b in zip(first.cameras, model.cameras, strict=True):
         assert np.array_equal(a.K, b.K) and b.world_from_camera == pytest.approx(a.world_from_camera, abs=1e-12)
-    assert pycolmap.Reconstruction(model.sparse).cameras[1].params.tolist() == pycolmap.Reconstruction(source.path).cameras[1].params.tolist()
+    before, after = (pycolmap.Reconstruction(path).cameras[1] for path in (source.path, model.sparse))
+    assert before.model == after.model and np.array_equal(before.params, after.params)
 
 
 def turned(meta):
@@ -183,4 +188,5 @@ def test_a_damaged_model_of_colmap_is_refused(tmp_path):
     (tmp_path / "given" / "images" / "f1.png").unlink()
     adopted(written(tmp_path / "other"), tmp_path / "whole")
     with pytest.raises(colmap.ReconstructionFailed, match="no such file: f1.png"):
-        colmap.adopt(tmp_path / "whole" / "colmap" / "sparse" / "0", tmp_path / "given" / "images", tmp_path / "again", progress=False)
+        sparse = tmp_path / "whole" / "colmap" / "sparse" / "0"
+        colmap.adopt(sparse, tmp_path / "given" / "images", tmp_path / "again", progress=False)
