@@ -11,6 +11,7 @@ files into ``out`` and returns what it measured.
 import hashlib
 import json
 import logging
+import os
 import sys
 import time
 from functools import partial
@@ -21,6 +22,7 @@ from hydra.utils import instantiate
 from conf import stages
 from conf.run import launch
 from conf.stages import Job, Record, Stage, write_json
+from scene.inputs import recognise
 
 log = logging.getLogger("scene2skill")
 
@@ -46,26 +48,38 @@ def capture(job: Job, out: Path) -> dict:
 
 
 def reconstruct(job: Job, out: Path) -> dict:
-    """COLMAP finds the cameras; what lies beside the photographs (tags.json, ...) gives the robot's frame in metres."""
+    """COLMAP finds the cameras, unless they are given; what lies beside the photographs (tags.json, ...) gives the robot's frame."""
+    import numpy as np
+
     from conf.evaluation import camera_errors
+    from conf.reconstruction import model_of
     from scene.camera import View
-    from scene.dataset import load_photographs, save_views
+    from scene.dataset import save_views
 
     frame_of = _setting(job, "scene.frame")(_beside(job))
-    model = _setting(job, "scene.colmap")(load_photographs(_photographs(job)), out, seed=job.cfg.scene.seed, progress=_watched())
-    frame = frame_of(model)
-    views = [View(view.name, frame.move(view.camera), view.image) for view in model.views()]
-    points, seen = frame.apply(model.points), {"colours": model.colours, "frame": frame.describe(), "original": frame.matrix}
-    save_views(out, views, points=points, **seen)
-    metrics = {"registered": model.registered, "total": model.total, "reprojection_px": model.reprojection_px}
-    log.info("  %(registered)d of %(total)d photographs registered, reprojection error %(reprojection_px).2f px", metrics)
+    model, given = model_of(job, _photographs(job), out, _setting, _watched())
+    metrics = {"registered": model.registered, "total": model.total}
+    if np.isfinite(model.reprojection_px):
+        metrics["reprojection_px"] = model.reprojection_px
+        log.info("  %(registered)d of %(total)d photographs registered, reprojection error %(reprojection_px).2f px", metrics)
+    else:
+        log.info("  %(registered)d photographs with their cameras", metrics)
     if model.unregistered:
         log.warning("  left out: %s", ", ".join(model.unregistered))
-    metrics |= {f"frame_{key}": mm for key, mm in frame.describe().items() if key in ("residual_mm", "uncertainty_mm")}
-    residual = ", residual %(frame_residual_mm).1f mm" % metrics if "frame_residual_mm" in metrics else ""
-    log.info("  frame: %s, from %s%s", frame.frame, frame.rests_on, residual)
-    for warning in frame.warnings:
-        log.warning("  note: %s", warning)
+    original = np.eye(4) if given is None else given.original
+    if given is not None and (given.frame["name"] == "robot base" or _frame_method(job) == "gravity"):
+        views, points, known = model.views(), model.points, {"frame": given.frame, "original": original}
+        log.info("  the cameras' frame is kept as it is: %(name)s, unit %(unit)s", given.frame)
+    else:
+        frame = frame_of(model)
+        views = [View(view.name, frame.move(view.camera), view.image) for view in model.views()]
+        points, known = frame.apply(model.points), {"frame": frame.describe(), "original": frame.matrix @ original}
+        metrics |= {f"frame_{key}": mm for key, mm in frame.describe().items() if key in ("residual_mm", "uncertainty_mm")}
+        residual = ", residual %(frame_residual_mm).1f mm" % metrics if "frame_residual_mm" in metrics else ""
+        log.info("  frame: %s, from %s%s", frame.frame, frame.rests_on, residual)
+        for warning in frame.warnings:
+            log.warning("  note: %s", warning)
+    save_views(out, views, points=points, colours=model.colours, **known)
     return metrics | camera_errors(views, _truth(job))
 
 
@@ -79,8 +93,9 @@ def train(job: Job, out: Path) -> dict:
     training, held_out = split(views)
     started = time.perf_counter()
     field = _setting(job, "scene.fit")(
-        training, points=points, colours=colours, seed=job.cfg.scene.seed, checkpoint=out / "checkpoint.npz", progress=_watched()
-    )
+        training, points=points if len(points) else None, colours=colours, seed=job.cfg.scene.seed,
+        checkpoint=out / "checkpoint.npz", progress=_watched(),
+    )  # fmt: skip
     metrics = {"seconds": time.perf_counter() - started}
     field.save(out / "field.pt")
     metrics |= field_errors(field, held_out, out / "held_out", job.settings("world") if _truth(job) else None)
@@ -241,6 +256,11 @@ def whole_job(job: Job) -> None:
             log.warning("execute\n  left out: there is no feasible plan")
         else:
             _do(stage, job, records)
+        if stage.name == "render" and "render" in wanted and job.settings("scene.paths"):
+            from conf.rendering import render_path
+
+            film = render_path(job, partial(_progress, title="path"))
+            log.info("  %(frames)d frames along the path, %(rendered)d rendered now: %(folder)s", film)
     if "report" in wanted:
         from conf.report import write_report
 
@@ -298,7 +318,14 @@ def _photographs(job: Job) -> Path:
 
 def _beside(job: Job) -> Path:
     """Where the files lie that give the robot's frame: with the photographs, or where the world's capture left them."""
-    return Path(job.cfg.photos) if job.cfg.photos else job.capture
+    return recognise(job.cfg.photos).folder if job.cfg.photos else job.capture
+
+
+def _frame_method(job: Job) -> str:
+    """What the frame rests on: "gravity" where nothing gives it."""
+    from scene.frame import choose
+
+    return choose(_beside(job), job.cfg.scene.frame.method, job.cfg.scene.frame.file)[0]
 
 
 def _truth(job: Job) -> dict | None:
@@ -311,12 +338,14 @@ def _fingerprint(job: Job) -> dict[str, str]:
     """Names and contents of what is reconstructed and of its frame, so that other photographs are another scene."""
     from scene.frame import choose
 
-    folder = _photographs(job)
-    files = sorted(p for p in folder.glob("*") if p.is_file()) if folder.is_dir() else []
-    _, given, others = choose(_beside(job), job.cfg.scene.frame.method, job.cfg.scene.frame.file)
-    for path in (*([given] if given else []), *others):
-        files += sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path] * path.exists()
-    return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
+    source = recognise(_photographs(job)) if job.cfg.photos or _photographs(job).exists() else None
+    files = {os.path.relpath(path, source.folder): path for path in source.files()} if source else {}
+    _, chosen, others = choose(_beside(job), job.cfg.scene.frame.method, job.cfg.scene.frame.file)
+    for path in (*([chosen] if chosen else []), *others):
+        inside = sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path] * path.exists()
+        files |= {one.name: one for one in inside}
+    went_in = {name: hashlib.sha256(path.read_bytes()).hexdigest() for name, path in files.items()}
+    return went_in | ({"scene.video": str(job.settings("scene.video"))} if source and source.kind == "video" else {})
 
 
 def _stored_sketches(job: Job) -> Path:

@@ -14,6 +14,7 @@ from conf import figures
 from conf.stages import Job
 from scene.dataset import load_frame, load_image, load_points, load_views
 from scene.files import replacing
+from scene.inputs import scene_name
 
 TIMES = np.linspace(0, 1, 100)
 SHOWN_SAMPLES = 8
@@ -63,7 +64,7 @@ class _Page:
 
 
 def _head(job: Job, metrics: dict) -> str:
-    name = "photographs of " + Path(job.cfg.photos).name if job.cfg.photos else f"the {job.cfg.world.name} world"
+    name = "photographs of " + scene_name(job.cfg.photos) if job.cfg.photos else f"the {job.cfg.world.name} world"
     good, verdict = _verdict(metrics)
     return (
         f'<!doctype html><html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
@@ -90,7 +91,8 @@ def _photographs(page: _Page, metrics: dict) -> list[str]:
     if "reconstruct" not in metrics:
         return []
     found, frame = metrics["reconstruct"], load_frame(page.capture)
-    text = f"{found['registered']} of {found['total']} registered, reprojection error {found['reprojection_px']:.2f} px; frame: {frame['name']}."
+    error = f", reprojection error {found['reprojection_px']:.2f} px" if "reprojection_px" in found else ""
+    text = f"{found['registered']} of {found['total']} registered{error}; frame: {frame['name']}."
     figure = figures.photographs_and_cameras(load_views(page.capture), *load_points(page.capture))
     return ["<h2>Photographs and cameras</h2>", f"<p>{html.escape(text)}</p>",
             page.picture("cameras", figure, "Photographs; where they were taken, around the sparse points.")]  # fmt: skip

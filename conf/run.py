@@ -19,8 +19,12 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from conf.stages import Job, write_json
+from scene.inputs import scene_name
 
 log = logging.getLogger("scene2skill")
+
+BESIDE = ("paths", "film")
+"""Groups of scene that a capture folder does not depend on: what they make lies beside the rest, under its own name."""
 
 USER_ERRORS = (ValueError, OSError, HydraException, OmegaConfBaseException)
 VERSIONS = ("scene2skill", "torch", "numpy", "pycolmap", "pybullet", "numba", "zuko", "toppra", "hydra-core")
@@ -103,7 +107,7 @@ def capture_folder(cfg: DictConfig) -> Path:
     """
     if cfg.data:
         return Path(cfg.data).resolve()
-    name = Path(cfg.photos).resolve().name if cfg.photos else cfg.world.name
+    name = scene_name(cfg.photos) if cfg.photos else cfg.world.name
     shipped = hydra.compose("config", overrides=[f"world={HydraConfig.get().runtime.choices.world}"])
     key = _scene_key(cfg)
     return Path("data", name if key == _scene_key(shipped) else f"{name}-{key:08x}").resolve()
@@ -114,6 +118,7 @@ def _scene_key(cfg: DictConfig) -> int:
 
     parts = {"world": cfg.world, "photographs": cfg.robot.photographs, "scene": cfg.scene}
     plain = {name: OmegaConf.to_container(node, resolve=True) for name, node in parts.items()}
+    plain["scene"] = {name: part for name, part in plain["scene"].items() if name not in BESIDE}
     return zlib.crc32(json.dumps(plain, sort_keys=True).encode())
 
 

@@ -111,6 +111,11 @@ class Camera:
         scale = np.diag([width / self.width, height / self.height, 1.0])
         return replace(self, K=scale @ self.K, width=width, height=height)
 
+    def cropped(self, width: int, height: int) -> "Camera":
+        """The camera with a picture of another shape, cropped (never stretched) about the principal point."""
+        focal = self.K[0, 0] * max(width / self.width, height / self.height)
+        return replace(self, K=[[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]], width=width, height=height)
+
     def moved(self, to_from_world) -> "Camera":
         """The camera seen from another frame: ``to_from_world`` (4, 4) is a rigid transform or similarity."""
         pose = np.asarray(to_from_world, dtype=float) @ self.world_from_camera

@@ -31,8 +31,9 @@ from PIL import ExifTags, Image
 from tqdm import tqdm
 
 from scene.camera import Camera, View, invert
-from scene.dataset import FEWEST_PHOTOGRAPHS, is_rotated, load_image, save_image
+from scene.dataset import FEWEST_PHOTOGRAPHS, inside, is_rotated, load_image, read_points, save_image
 from scene.files import replacing
+from scene.transforms import Posed
 
 STRAIGHT = 0.1
 """A lens that moves no pixel by more than this [px] is taken for a pinhole, and its pictures are kept as they are."""
@@ -136,14 +137,46 @@ def reconstruct(
             "camera_model": camera_model, "single_camera": single_camera, "features": features,
             "feature_size": feature_size, "max_size": max_size, "threads": threads,
         }  # fmt: skip
-        answer = _run_worker(settings, unfinished / "log.txt", progress)
-        if "failure" in answer:
-            raise ReconstructionFailed(answer["failure"])
-        for result in ("images", "colmap"):  # the model comes last: with it the work is whole
-            shutil.rmtree(work / result, ignore_errors=True)
-            (unfinished / result).replace(work / result)
+        return _worked("solve", settings, work, progress)
     finally:
         shutil.rmtree(unfinished, ignore_errors=True)
+
+
+def adopt(
+    given: Posed | Path, images: str | Path, work: str | Path, *, max_size: int = 1024, progress: bool = True
+) -> Model:
+    """Take cameras that are known already as they are, in their own frame; write ``work``, see above.
+
+    given: Posed, or the folder of a COLMAP model whose pictures lie in ``images``. Points of a Posed come without what
+    saw them, so the model has no reprojection error (nan). Raises ReconstructionFailed when the model cannot be read,
+    fewer than three of its pictures have cameras, or one is missing, of another size, or turned by its EXIF.
+    """
+    work = Path(work)
+    settings = {"images": str(Path(images).absolute()), "max_size": max_size}
+    if isinstance(given, Posed):
+        points, colours = read_points(given.ply) if given.ply else (np.empty((0, 3)), np.empty((0, 3)))
+        settings |= {"names": given.names, "lenses": given.lenses, "poses": given.poses.tolist()}
+        settings |= {"points": points.tolist(), "colours": colours.tolist()}
+    else:
+        settings |= {"names": (), "sparse": str(Path(given).absolute())}
+    unfinished = work / ".colmap.part"
+    shutil.rmtree(unfinished, ignore_errors=True)
+    unfinished.mkdir(parents=True)
+    try:
+        return _worked("adopt", settings | {"folder": str(unfinished.absolute())}, work, progress)
+    finally:
+        shutil.rmtree(unfinished, ignore_errors=True)
+
+
+def _worked(task: str, settings: dict, work: Path, progress: bool) -> Model:
+    """Have the worker fill its folder, and move what it made into place."""
+    unfinished = Path(settings["folder"])
+    answer = _run_worker(settings | {"task": task}, unfinished / "log.txt", progress)
+    if "failure" in answer:
+        raise ReconstructionFailed(answer["failure"])
+    for result in ("images", "colmap"):  # the model comes last: with it the work is whole
+        shutil.rmtree(work / result, ignore_errors=True)
+        (unfinished / result).replace(work / result)
     return Model.load(work)
 
 
@@ -245,7 +278,7 @@ def _work():
         answers.write(json.dumps(message) + "\n")
 
     try:
-        _solve(say=say, **settings)
+        {"solve": _solve, "adopt": _adopt}[settings.pop("task")](say=say, **settings)
         say(done=True)
     except ReconstructionFailed as failure:
         say(failure=str(failure))
@@ -279,6 +312,67 @@ def _solve(folder, names, seed, threads, max_size, say, **settings):
     (folder / "colmap" / "sparse" / "0").mkdir(parents=True)
     best.write(folder / "colmap" / "sparse" / "0")
     _write_results(best, folder, names, max_size, straight, say)
+
+
+def _adopt(folder, names, images, max_size, say, sparse=None, **given):
+    """Write what is known already as ``_solve`` writes what it has found."""
+    pycolmap, folder, images = _pycolmap(), Path(folder), Path(images)
+    pycolmap.logging.minloglevel = pycolmap.logging.FATAL.value
+    if sparse is None:
+        model = _built(pycolmap, names, **given)
+    else:
+        try:
+            model = pycolmap.Reconstruction(sparse)
+        except (ValueError, RuntimeError, MemoryError, IndexError, KeyError) as error:
+            raise ReconstructionFailed(f"{sparse} is not a readable COLMAP model: {error}") from error
+    posed = [image for image in model.images.values() if image.has_pose]
+    if len(posed) < FEWEST_PHOTOGRAPHS:
+        needed = f"a scene needs {FEWEST_PHOTOGRAPHS}, better 30"
+        raise ReconstructionFailed(f"only {len(posed)} pictures have cameras; {needed}")
+    _check_pictures(images, [(image.name, model.cameras[image.camera_id]) for image in posed])
+    (folder / "colmap" / "sparse" / "0").mkdir(parents=True)
+    model.write(folder / "colmap" / "sparse" / "0")
+    straight = all(_bend(camera, max_size) < STRAIGHT for camera in model.cameras.values())
+    _write_results(model, folder, [image.name for image in model.images.values()], max_size, straight, say, images)
+
+
+def _built(pycolmap, names, lenses, poses, points, colours):
+    """A COLMAP model of cameras and points alone; pictures of one lens share its camera."""
+    model, numbers = pycolmap.Reconstruction(), {}
+    for i, (name, lens, pose) in enumerate(zip(names, lenses, poses, strict=True), start=1):
+        key = json.dumps(lens)
+        if key not in numbers:
+            numbers[key] = len(numbers) + 1
+            model.add_camera_with_trivial_rig(pycolmap.Camera(camera_id=numbers[key], **lens))
+        image = pycolmap.Image(name=name, camera_id=numbers[key], image_id=i)
+        model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(invert(np.array(pose))[:3]))
+    for point, colour in zip(points, colours, strict=True):
+        model.add_point3D(np.array(point), pycolmap.Track(), np.array(colour, dtype=np.uint8))
+    return model
+
+
+def _check_pictures(images: Path, cameras: list[tuple]):
+    """Every picture is there, and the one that its camera took."""
+    for name, camera in cameras:
+        try:
+            path = inside(images, name, f"picture {name}")
+            height, width = load_image(path).shape[:2]
+        except (ValueError, FileNotFoundError) as error:
+            raise ReconstructionFailed(str(error)) from error
+        if is_rotated(path):
+            raise ReconstructionFailed(f"picture {name} is turned by its EXIF, its camera may not be: save it upright")
+        if (width, height) != (camera.width, camera.height):
+            said = f"{camera.width}x{camera.height}"
+            raise ReconstructionFailed(f"picture {name} is {width}x{height}, but its camera says {said}")
+    flat = [_flat(name) for name, _ in cameras]
+    if len(set(flat)) < len(flat):
+        twice = sorted({name for name in flat if flat.count(name) > 1})
+        raise ReconstructionFailed(f"more than one picture is called {', '.join(twice[:6])}")
+
+
+def _flat(name: str) -> str:
+    """What a picture is called here: COLMAP's name, which may have folders, without its ending."""
+    return str(Path(name).with_suffix("")).replace(os.sep, "_")
 
 
 def _registered(model) -> int:
@@ -467,8 +561,8 @@ def _widest_pinhole(camera) -> np.ndarray:
     return K * [[high, 1, 1], [1, high, 1], [1, 1, 1]]
 
 
-def _write_results(model, folder, names, max_size, straight, say):
-    """The undistorted pictures, and model.npz."""
+def _write_results(model, folder, names, max_size, straight, say, photographs=None):
+    """The undistorted pictures, and model.npz. photographs: where they lie, if not in ``folder``."""
     images = sorted((image for image in model.images.values() if image.has_pose), key=lambda image: image.name)
     pinhole = _pinhole if straight else _widest_pinhole
     lenses = {number: pinhole(camera) for number, camera in model.cameras.items()}
@@ -479,15 +573,16 @@ def _write_results(model, folder, names, max_size, straight, say):
         full = Camera(lenses[image.camera_id], _world_from_camera(image), lens.width, lens.height)
         scale = min(1, max_size / max(full.width, full.height))
         cameras.append(full.resized(round(full.width * scale), round(full.height * scale)))
-        source = folder / "photographs" / image.name
-        files.append(_undistort(source, folder / "images", None if straight else lens, full, cameras[-1]))
+        source = (photographs or folder / "photographs") / image.name
+        target = folder / "images" / _flat(image.name)
+        files.append(_undistort(source, target, None if straight else lens, full, cameras[-1]))
         say(count=len(files))
     points = [model.points3D[number] for number in sorted(model.points3D)]
     registered = {image.name for image in images}
     with replacing(folder / "colmap" / "model.npz") as temporary, open(temporary, "wb") as file:
         np.savez_compressed(
             file,
-            names=[Path(image.name).stem for image in images],
+            names=[_flat(image.name) for image in images],
             images=[path.name for path in files],
             K=[camera.K for camera in cameras],
             world_from_camera=[camera.world_from_camera for camera in cameras],
@@ -496,8 +591,8 @@ def _write_results(model, folder, names, max_size, straight, say):
             colours=np.array([p.color for p in points], dtype=np.uint8).reshape(-1, 3),
             point_errors=[p.error for p in points],
             total=len(names),
-            reprojection_px=model.compute_mean_reprojection_error(),
-            unregistered=np.array([Path(name).stem for name in names if name not in registered], dtype=str),
+            reprojection_px=model.compute_mean_reprojection_error() if model.compute_num_observations() else np.nan,
+            unregistered=np.array([_flat(name) for name in names if name not in registered], dtype=str),
         )
 
 
@@ -507,12 +602,12 @@ def _world_from_camera(image) -> np.ndarray:
     return invert(camera_from_world)
 
 
-def _undistort(source, folder, lens, full, camera) -> Path:
-    """Write one picture as ``camera`` sees it; a picture that needs no change is copied bit by bit."""
+def _undistort(source, stem, lens, full, camera) -> Path:
+    """Write one picture as ``camera`` sees it to ``stem`` with an ending; without a change it is copied bit by bit."""
     unchanged = lens is None and (full.width, full.height) == (camera.width, camera.height)
     if unchanged and source.suffix.lower() in (".png", ".jpg", ".jpeg"):
-        folder.mkdir(exist_ok=True)
-        return Path(shutil.copyfile(source, folder / source.name))
+        stem.parent.mkdir(exist_ok=True)
+        return Path(shutil.copyfile(source, stem.with_name(stem.name + source.suffix)))
     import cv2
 
     picture = cv2.resize(load_image(source), (camera.width, camera.height), interpolation=cv2.INTER_AREA)
@@ -522,6 +617,6 @@ def _undistort(source, folder, lens, full, camera) -> Path:
         seen = seen / enlarged - 0.5  # OpenCV: centres at whole numbers
         seen = seen.reshape(camera.height, camera.width, 2).astype(np.float32)
         picture = cv2.remap(picture, seen[..., 0], seen[..., 1], cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
-    target = folder / f"{source.stem}.png"
+    target = stem.with_name(f"{stem.name}.png")
     save_image(target, picture)
     return target

@@ -113,7 +113,7 @@ def save_image(path: str | Path, image: np.ndarray):
 def load_views(folder: str | Path) -> list[View]:
     """The posed pictures of a capture folder, in the order of its transforms.json and in its frame."""
     folder = Path(folder)
-    meta = _load_transforms(folder)
+    meta = load_transforms(folder / "transforms.json")
     views = [_view(folder, meta, frame, i) for i, frame in enumerate(meta["frames"])]
     twice = [name for name, count in Counter(v.name for v in views).items() if count > 1]
     if twice:
@@ -126,16 +126,16 @@ def load_frame(folder: str | Path) -> dict:
 
     ``world_from_original`` (a list of 4 lists) is the similarity from the reconstruction's own frame, if there is one.
     """
-    extra = _load_transforms(Path(folder)).get("scene2skill") or {}
+    extra = load_transforms(Path(folder) / "transforms.json").get("scene2skill") or {}
     return {"name": "arbitrary", "unit": "arbitrary"} | extra.get("frame", {}) | {
         key: extra[key] for key in ("world_from_original",) if key in extra
     }
 
 
-def _load_transforms(folder: Path) -> dict:
-    path = folder / "transforms.json"
+def load_transforms(path: Path) -> dict:
+    """What a transforms.json says. Raises FileNotFoundError, or ValueError if it is not JSON or has no frames."""
     if not path.is_file():
-        raise FileNotFoundError(f"no transforms.json in {folder}: reconstruct its photographs first")
+        raise FileNotFoundError(f"no {path.name} in {path.parent}: reconstruct its photographs first")
     try:
         meta = json.loads(path.read_text(encoding="utf-8"))
     except ValueError as error:
@@ -159,7 +159,7 @@ def _view(folder: Path, meta: dict, frame: dict, index: int) -> View:
         bent = ", ".join(f"{key} {lens[key]}" for key in DISTORTION if lens[key])
         raise ValueError(f"{where}: lens distortion ({bent}) is not read; reconstruct from the photographs instead")
     camera = _camera(lens, frame["transform_matrix"], where)
-    path = _inside(folder, frame["file_path"], where)
+    path = inside(folder, frame["file_path"], where)
     image = load_image(path)
     if image.shape[:2] != (camera.height, camera.width):
         size, said = f"{image.shape[1]}x{image.shape[0]}", f"{camera.width}x{camera.height}"
@@ -180,7 +180,7 @@ def _camera(lens: dict, matrix, where: str) -> Camera:
         raise ValueError(f"{where}: {error}") from error
 
 
-def _inside(folder: Path, file_path, where: str) -> Path:
+def inside(folder: Path, file_path, where: str) -> Path:
     """The path of a file that must lie in the capture folder."""
     root = os.path.abspath(folder)
     path = os.path.normpath(os.path.join(root, str(file_path)))
@@ -211,21 +211,36 @@ def save_views(
     folder = Path(folder)
     if not views:
         raise ValueError(f"no views to save to {folder}")
-    shared = _intrinsics(views[0].camera)
-    frames = []
-    for view in views:
-        own = _intrinsics(view.camera)
-        pose = (view.camera.world_from_camera @ OPENCV_FROM_OPENGL).tolist()
-        path = _save_picture(folder / images, view)
-        frames.append({"file_path": f"{images}/{path.name}", "transform_matrix": pose} | (own if own != shared else {}))
-    meta = {"camera_model": "OPENCV", **shared, "frames": frames}
+    files = [f"{images}/{_save_picture(folder / images, view).name}" for view in views]
+    cameras = {file: view.camera for file, view in zip(files, views, strict=True)}
     if points is not None:
         save_points(folder / "sparse.ply", points, colours)
-        meta["ply_file_path"] = "sparse.ply"
+    save_cameras(folder, cameras, ply="sparse.ply" if points is not None else None, frame=frame, original=original)
+
+
+def save_cameras(
+    folder: str | Path,
+    cameras: dict[str, Camera],
+    *,
+    ply: str | None = None,
+    frame: dict | None = None,
+    original: np.ndarray | None = None,
+):
+    """Write transforms.json alone: the cameras of pictures, which are named relative to ``folder``. See ``save_views``."""
+    shared = _intrinsics(next(iter(cameras.values())))
+    frames = []
+    for file, camera in cameras.items():
+        own = _intrinsics(camera)
+        pose = (camera.world_from_camera @ OPENCV_FROM_OPENGL).tolist()
+        frames.append({"file_path": file, "transform_matrix": pose} | (own if own != shared else {}))
+    # without applied_transform nerfstudio takes a folder with colmap/sparse/0 for one whose axes were exchanged
+    meta = {"camera_model": "OPENCV", **shared, "applied_transform": np.eye(4)[:3].tolist(), "frames": frames}
+    if ply is not None:
+        meta["ply_file_path"] = ply
     meta["scene2skill"] = {"version": 1, "frame": {"name": "arbitrary", "unit": "arbitrary"} | (frame or {})}
     if original is not None:
         meta["scene2skill"]["world_from_original"] = np.asarray(original, dtype=float).tolist()
-    with replacing(folder / "transforms.json") as temporary:
+    with replacing(Path(folder) / "transforms.json") as temporary:
         temporary.write_text(json.dumps(meta, indent=1, allow_nan=False), encoding="utf-8")
 
 
@@ -248,11 +263,17 @@ def _save_picture(folder: Path, view: View) -> Path:
 
 def load_points(folder: str | Path) -> tuple[np.ndarray, np.ndarray]:
     """The sparse points of a capture folder: positions (N, 3) in its frame and colours (N, 3) uint8."""
+    folder = Path(folder)
+    named = load_transforms(folder / "transforms.json").get("ply_file_path", "sparse.ply")
+    return read_points(inside(folder, named, f"sparse points of {folder}"))
+
+
+def read_points(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Positions (N, 3) and colours (N, 3) uint8, grey where there are none, of a ply file; ValueError if it is none."""
     import trimesh
 
-    folder = Path(folder)
-    named = _load_transforms(folder).get("ply_file_path", "sparse.ply")
-    path = _inside(folder, named, f"sparse points of {folder}")
+    if b"element vertex 0\n" in path.read_bytes()[:1000]:
+        return np.empty((0, 3)), np.empty((0, 3), np.uint8)
     try:
         cloud = trimesh.load(path, file_type="ply", process=False)
         points = np.array(cloud.vertices, dtype=float).reshape(-1, 3)

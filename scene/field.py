@@ -114,15 +114,20 @@ class Field:
         )  # fmt: skip
         return Marched(out, through, distance, (first, count, t, alpha, feature))
 
-    def render(self, camera: Camera, rows: int = 64) -> tuple[np.ndarray, np.ndarray]:
-        """The picture (height, width, 3) uint8 and its depth (height, width) float32 [m] along z; nan where nothing is hit."""
+    def render(self, camera: Camera, rows: int = 64, near: float = 0.0, far: float = np.inf):
+        """The picture (height, width, 3) uint8 and its depth (height, width) float32 [m] along z, nan where nothing is hit.
+
+        near, far: only what lies between these depths [m along z] is seen; behind it is what is behind everything.
+        """
         rgb = np.empty((camera.height, camera.width, 3), np.uint8)
         depth = np.empty((camera.height, camera.width), np.float32)
         pixels = camera.pixel_centres()
         for top in range(0, camera.height, rows):
             origins, directions = camera.rays(pixels[top : top + rows].reshape(-1, 2))
             rays = self.rays(origins, directions)
-            marched = self.march(rays)
+            beyond = 1 / (self.half * (directions @ camera.forward))  # normalised distance along a ray, for a depth [m]
+            rays.near = np.maximum(rays.near, near * beyond).astype(np.float32)
+            marched = self.march(rays, far=np.minimum(FAR, far * beyond).astype(np.float32))
             block = slice(top, top + rows)
             colour = self.shade(marched, rays, self.behind(len(origins))).reshape(-1, camera.width, 3)
             rgb[block] = np.clip(colour * 255 + 0.5, 0, 255).astype(np.uint8)

@@ -1,5 +1,6 @@
 """Every command answers quickly, and bad input gets one clear error, exit code 2 and nothing half written."""
 
+import json
 import os
 import subprocess
 import sys
@@ -71,8 +72,34 @@ def test_a_stage_without_the_files_it_needs_says_which_stage_makes_them(tmp_path
     refused(scene2skill("stages=[train]", cwd=tmp_path), "train", "reconstruct")
 
 
+def test_a_path_in_a_file_needs_the_field_first(tmp_path):
+    refused(scene2skill("stages=[render]", "scene/paths=file", "scene.paths.file=no.json", cwd=tmp_path), "render", "train")
+
+
+def test_an_unknown_path_names_the_known_ones(tmp_path):
+    refused(scene2skill("stages=[render]", "scene/paths=spirale", cwd=tmp_path), "spirale", "interpolate")
+
+
 def test_no_such_folder(tmp_path):
     refused(scene2skill("photos=nowhere", cwd=tmp_path), "nowhere")
+
+
+def test_a_file_that_is_no_video(tmp_path):
+    (tmp_path / "walk.mp4").write_text("x")
+    refused(scene2skill("photos=walk.mp4", cwd=tmp_path), "walk.mp4", "video")
+
+
+def test_a_transforms_file_with_cameras_that_leave_its_folder(tmp_path):
+    frame = {"file_path": "../secret.png", "transform_matrix": np.eye(4).tolist()}
+    (tmp_path / "transforms.json").write_text(json.dumps({"camera_angle_x": 0.7, "w": 4, "h": 4, "frames": [frame] * 3}))
+    refused(scene2skill("photos=transforms.json", cwd=tmp_path), "../secret.png", "outside")
+
+
+def test_a_damaged_model_of_colmap(tmp_path):
+    photographs(tmp_path / "model" / "images")
+    (tmp_path / "model" / "sparse" / "0").mkdir(parents=True)
+    (tmp_path / "model" / "sparse" / "0" / "cameras.bin").write_bytes(b"x")
+    refused(scene2skill("photos=model", cwd=tmp_path), "model/sparse/0", "COLMAP")
 
 
 def test_a_folder_without_pictures(tmp_path):

@@ -145,6 +145,18 @@ def test_the_rays_nerfstudio_makes_of_the_file_are_ours(tmp_path):
     assert np.allclose(theirs / np.linalg.norm(theirs), ours) and np.allclose(matrix[:3, 3], origin)
 
 
+def test_nerfstudio_is_told_that_no_axes_were_exchanged(tmp_path):
+    """Without the key it takes any folder with colmap/sparse/0 for one made by itself."""
+    dataset.save_views(tmp_path, [view()])
+    assert json.loads((tmp_path / "transforms.json").read_text())["applied_transform"] == np.eye(4)[:3].tolist()
+
+
+def test_a_scene_without_points_has_none(tmp_path):
+    dataset.save_views(tmp_path, [view()], points=np.empty((0, 3)))
+    points, colours = dataset.load_points(tmp_path)
+    assert points.shape == colours.shape == (0, 3)
+
+
 def test_a_picture_that_is_there_already_is_kept(tmp_path):
     Image.fromarray(picture(seed=3)).save(tmp_path / "a.jpg")
     image = dataset.load_image(tmp_path / "a.jpg")

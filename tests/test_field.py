@@ -60,6 +60,15 @@ def test_the_depth_of_a_plane_is_right_and_there_is_none_beside_it(field, new_vi
     assert np.isnan(depth[:3, :3]).all()
 
 
+def test_only_what_lies_between_near_and_far_is_seen(field, new_view):
+    image, depth = field.render(new_view)
+    middle = float(np.nanmedian(depth))
+    cut, kept = field.render(new_view, far=middle)
+    assert np.nanmax(kept) <= middle + 0.02 and np.median(np.abs(cut.astype(int) - image)[depth < middle - 0.05]) <= 2
+    _, behind = field.render(new_view, near=middle)
+    assert np.nanmin(behind) >= middle - 0.02
+
+
 def test_what_is_saved_is_what_is_loaded(field, new_view, tmp_path):
     field.save(tmp_path / "field.pt")
     again, depth = Field.load(tmp_path / "field.pt").render(new_view)

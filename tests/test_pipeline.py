@@ -151,3 +151,24 @@ def test_strokes_on_one_view_are_laid_on_the_bench_that_the_field_shows(job):
     assert skill.report["surface"]["view"] == "view1" and "30 mm off the surface" in printed
     height = skill.distribution.mean_at(s)[:, 2] - 0.12
     assert abs(np.median(height) - 0.03) < 0.01 and np.abs(height - 0.03).max() < 0.03
+
+
+def test_a_film_lies_beside_the_views_and_is_not_rendered_twice(job):
+    folder, _, _ = job
+    views = (folder / "scene" / "views" / "transforms.json").stat().st_mtime_ns
+    film = ("stages=[render]", "scene/paths=interpolate", "scene.paths.frames=3", "scene.paths.keys=2", "scene.film.width=48")
+    assert "3 rendered now" in scene2skill(*SMALL, *film, cwd=folder)
+    assert "0 rendered now" in scene2skill(*SMALL, *film, cwd=folder)
+    assert len(load_views(folder / "scene" / "renders" / "interpolate")) == 3
+    assert (folder / "scene" / "renders" / "interpolate.mp4").stat().st_size > 500
+    assert (folder / "scene" / "views" / "transforms.json").stat().st_mtime_ns == views
+
+
+def test_a_scene_that_is_given_to_another_keeps_its_frame(job):
+    folder, _, _ = job
+    scene2skill("photos=scene", "data=copy", "stages=[reconstruct]", cwd=folder)
+    for ours, given in zip(load_views(folder / "scene"), load_views(folder / "copy"), strict=True):
+        np.testing.assert_allclose(given.camera.world_from_camera, ours.camera.world_from_camera, atol=1e-12)
+        np.testing.assert_array_equal(given.image, ours.image)
+    same = subprocess.run([COMMAND, "photos=scene", "data=scene", "stages=[reconstruct]"], capture_output=True, text=True, cwd=folder)
+    assert same.returncode == 2 and "data=ANOTHER_FOLDER" in same.stderr

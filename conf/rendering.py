@@ -1,0 +1,38 @@
+"""Pictures along a camera path: data/<capture>/renders/<path>/ and its video beside it."""
+
+import hashlib
+from pathlib import Path
+
+from filelock import FileLock
+from hydra.utils import instantiate
+from omegaconf import OmegaConf
+
+from conf.stages import Job
+
+
+def render_path(job: Job, progress) -> dict[str, int | Path]:
+    """Render the path that scene/paths names; returns the "folder", its "frames" and how many were "rendered" now."""
+    from robot.execution import save_video
+    from scene.dataset import load_frame, load_views
+    from scene.field import Field
+
+    missing = OmegaConf.missing_keys(job.cfg.scene.paths)
+    if missing:
+        raise ValueError(f"this path needs {missing.pop()}=...")
+    path = instantiate(job.cfg.scene.paths, _convert_="all")([view.camera for view in load_views(job.capture)])
+    folder = job.capture / "renders" / _name(job)
+    folder.parent.mkdir(exist_ok=True)
+    with FileLock(job.capture / ".stages" / "renders.lock"):
+        field = job.capture / "field.pt"
+        identity = hashlib.sha256(field.read_bytes()).hexdigest()
+        counted = instantiate(job.cfg.scene.film, _convert_="all")(
+            Field.load(field), path, folder, identity=identity, frame=load_frame(job.capture),
+            save_video=save_video, progress=progress,
+        )  # fmt: skip
+    return counted | {"folder": folder}
+
+
+def _name(job: Job) -> str:
+    """The path's own name: what made it, or the file it was read from."""
+    file = job.settings("scene.paths.file")
+    return Path(file).stem if file else job.settings("scene.paths._target_").rsplit(".", 1)[-1]
