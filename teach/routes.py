@@ -110,7 +110,7 @@ def _separation(y, labels) -> float:
     for a, b in combinations(np.unique(labels), 2):
         one, other = y[labels == a], y[labels == b]
         way = one.mean(axis=0) - other.mean(axis=0)
-        along = np.concatenate([group - group.mean(axis=0) for group in (one, other)]) @ way / np.linalg.norm(way)
+        along = np.concatenate([group - group.mean(axis=0) for group in (one, other)]) @ way / max(np.linalg.norm(way), 1e-300)
         within = ((along**2).sum() + 2) / len(along)  # with what two strokes of a usual hand would add
         least = min(least, float(np.linalg.norm(way) / np.sqrt(within)))
     return least

@@ -71,7 +71,7 @@ class TrajectoryDistribution:
         """n weight matrices (n, M, 3) [m]. The square root is an eigendecomposition: S may be singular."""
         values, vectors = np.linalg.eigh(self.covariance)
         deviations = rng.standard_normal((n, len(values))) * np.sqrt(np.clip(values, 0, None)) @ vectors.T
-        return self.mean + deviations.reshape(n, -1, 3)
+        return self.mean + deviations.reshape(n, *self.mean.shape)
 
     def log_prob(self, t, x) -> np.ndarray:
         """log N(x; xi's mean and covariance at t) (T,) of positions x (T, 3) [m] at times t (T,), each on its own."""
