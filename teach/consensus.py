@@ -77,23 +77,27 @@ def _near(views) -> np.ndarray:
 
 
 def _consensus(views, robust: bool) -> Consensus:
-    agree, rivals = np.ones(len(views), dtype=bool), ()
+    agree, rivals, lags = np.ones(len(views), dtype=bool), (), None
     while robust and agree.sum() > 2:
         kept = np.flatnonzero(agree)
-        out, others = _contradicting([views[k] for k in kept])
+        out, others, lags = _contradicting([views[k] for k in kept])
         if out is None:
             break
+        lags = None
         agree[kept[out]], rivals = False, (*rivals, *(int(kept[k]) for k in others))
     left = [view for view, ok in zip(views, agree, strict=True) if ok]
-    bundle = adjust(left, _begun(left)) if len(left) > 2 else adjust(left)
+    if lags is None and len(left) > 2:
+        lags = _best(_curves(left), len(left))
+    bundle = adjust(left, lags if len(left) > 2 else None)
     plain = [_trembling(view) for view in left]
     one = _solved(plain, bundle.lags)
     gain = (one.evidence if one else -np.inf) - sum(anything(view) for view in plain)
     return replace(_judged(views, bundle, agree, tuple(k for k in rivals if agree[k])), gain=float(gain))
 
 
-def _contradicting(views) -> tuple[int | None, list[int]]:
-    """The view without which the others explain what was drawn best, None if none; and others nearly as likely."""
+def _contradicting(views) -> tuple[int | None, list[int], np.ndarray]:
+    """The view without which the others explain what was drawn best, None if none; others nearly as likely; and lags (V,
+    COUNT) from which to adjust all views."""
     views = [_trembling(view) for view in views]
     any_curve = [anything(view) for view in views]
     pairs = _curves(views)
@@ -106,8 +110,8 @@ def _contradicting(views) -> tuple[int | None, list[int]]:
     gains[dots] = -np.inf  # a motion straight at the camera: its arc length is trembling, which contradicts nothing
     out = int(np.argmax(gains))
     if not np.isfinite(gains[out]) or gains[out] - together < SURE:
-        return None, []
-    return out, [k for k in everyone if k != out and gains[k] > gains[out] - SURE]
+        return None, [], _best(pairs, len(views))
+    return out, [k for k in everyone if k != out and gains[k] > gains[out] - SURE], _best(pairs, len(views))
 
 
 def _trembling(view: ViewedStroke) -> ViewedStroke:
@@ -141,7 +145,8 @@ def _curves(views) -> dict[tuple[int, int], _Begun]:
     found = {}
     for pair in _pairs(views):
         two = [views[k] for k in pair]
-        tried = [bundle for lags in starts(*two)[::2] if (bundle := _solved(two, lags)) is not None]
+        steps = 24 if len(views) <= ALL_PAIRS else 8  # of many views a pair's curve is but a start
+        tried = [bundle for lags in starts(*two)[::2] if (bundle := _solved(two, lags, steps)) is not None]
         if tried:
             best = max(tried, key=lambda bundle: bundle.evidence)
             lags = [best.lags[pair.index(k)] if k in pair else _lag(view, best.points) for k, view in enumerate(views)]
@@ -170,18 +175,15 @@ def _evidence(views, kept, pairs) -> float:
     return max((bundle.evidence for bundle in tried if bundle is not None), default=-np.inf)
 
 
-def _begun(views) -> np.ndarray:
-    """Lags (V, COUNT) from which to adjust all views."""
-    pairs = _curves(views)
-    if not pairs:
-        return np.zeros((len(views), COUNT))
-    return min(pairs.values(), key=lambda begun: begun.misses.sum()).lags
+def _best(pairs, count: int) -> np.ndarray:
+    """The lags (V, COUNT) of the pair's curve that all views miss least."""
+    return min(pairs.values(), key=lambda begun: begun.misses.sum()).lags if pairs else np.zeros((count, COUNT))
 
 
-def _solved(views, lags) -> Bundle | None:
+def _solved(views, lags, steps: int = 24) -> Bundle | None:
     """The curve; None where it runs behind a camera."""
     try:
-        bundle = solve(views, lags, LAGS[1], BENDS[2])
+        bundle = solve(views, lags, LAGS[1], BENDS[2], steps)
     except (np.linalg.LinAlgError, ValueError):
         return None
     return bundle if np.isfinite(bundle.evidence) and np.isfinite(bundle.points).all() else None

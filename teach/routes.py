@@ -30,6 +30,8 @@ PRIOR = (0.0, -13.0, -26.0)
 """Log probability of one route, of two and of three, before anything is seen: as improbable as it takes, since the hand
 is only a model of one. Strokes of one letter that a person drew, or of a hand twice as sloppy, reach a log evidence of 10
 for two routes; two ways round an obstacle have 25 to 170."""
+USUAL = 12
+"""Number of strokes from which on the prior grows with them, as what the model of the hand has wrong does."""
 SLOPPINESS, SIZES = np.geomspace(0.35, 4.0, 12), (0.1, 0.2, 0.4)
 """Values of s, log-normal around 1 with the deviation SPREAD, and of a over the extent, that are summed over."""
 SPREAD = 0.5
@@ -78,7 +80,8 @@ def grouped(sketches: Sequence[Sketch]) -> list[list[list[int]]]:
     """For each view the indices of its motion strokes by route, in the order of drawing; one group where the view does
     not tell routes apart."""
     found = [_evidence(sketch) for sketch in sketches]
-    total = [PRIOR[routes - 1] + sum(max(log for log, _ in view[:routes]) for view in found) for routes in range(1, MOST + 1)]
+    often = max(1.0, sum(len(sketch.motions) for sketch in sketches) / USUAL)
+    total = [often * PRIOR[routes - 1] + sum(max(log for log, _ in view[:routes]) for view in found) for routes in range(1, MOST + 1)]
     routes = int(np.argmax(total)) + 1
     return [max(view[:routes], key=lambda one: one[0])[1] for view in found]
 
