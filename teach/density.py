@@ -239,8 +239,8 @@ def _context(t: torch.Tensor) -> torch.Tensor:
 
 
 def _interpolate(t, times, values) -> np.ndarray:
-    """values (T, 2) given at ``times`` (T,), linear in between, at t (...,): (..., 2)."""
-    return np.stack([np.interp(t, times, values[:, axis]) for axis in range(2)], axis=-1)
+    """values (T, D) given at ``times`` (T,), linear in between, at t (...,): (..., D)."""
+    return np.stack([np.interp(t, times, column) for column in values.T], axis=-1)
 
 
 def _resample(strokes: np.ndarray, count: int) -> np.ndarray:
@@ -257,3 +257,76 @@ def over_picture(density, size, spacing: float = 8.0, times: int = 40) -> np.nda
     t = np.linspace(0, 1, times)[:, None]
     log_prob = density.log_prob(t, np.broadcast_to(pixels, (times, *pixels.shape)))
     return np.exp(log_prob).mean(axis=0).reshape(x.shape)
+
+
+@dataclass(frozen=True, eq=False)
+class KernelDensity:
+    """p(x, y | t) [1/px^2] of a view as the mean of Gaussians around strokes; ``log_prob`` and ``sample`` as a flow has them.
+
+    times: (T,). strokes: (S, T, 2) [px], the Gaussians' centres. covariance: (T, 2, 2) [px^2], of each of them. noise: of
+    the picture's size.
+    """
+
+    times: np.ndarray
+    strokes: np.ndarray
+    covariance: np.ndarray
+    noise: float
+
+    def log_prob(self, t, points) -> np.ndarray:
+        """log p [log 1/px^2] at points (..., 2) [px] and times t that broadcast against (...,)."""
+        points = np.asarray(points, dtype=float)
+        t = np.broadcast_to(np.asarray(t, dtype=float), points.shape[:-1])
+        C = _interpolate(t, self.times, self.covariance.reshape(len(self.times), 4)).reshape(*t.shape, 2, 2)
+        inverse, log_det = np.linalg.inv(C), np.log(np.linalg.det(C))
+        off = np.stack([points - _interpolate(t, self.times, stroke) for stroke in self.strokes])
+        squared = np.einsum("s...a,...ab,s...b->s...", off, inverse, off)
+        return np.logaddexp.reduce(-0.5 * squared, axis=0) - np.log(len(self.strokes)) - 0.5 * log_det - np.log(2 * np.pi)
+
+    def sample(self, n: int, t, rng: np.random.Generator) -> np.ndarray:
+        """n draws at each time t (T,): (T, n, 2) [px]."""
+        t = np.atleast_1d(np.asarray(t, dtype=float))
+        centres = np.stack([_interpolate(t, self.times, stroke) for stroke in self.strokes], axis=1)  # (T, S, 2)
+        chosen = centres[np.arange(len(t))[:, None], rng.integers(len(self.strokes), size=(len(t), n))]
+        C = _interpolate(t, self.times, self.covariance.reshape(len(self.times), 4)).reshape(-1, 2, 2)
+        return chosen + rng.standard_normal((len(t), n, 2)) @ np.linalg.cholesky(C).swapaxes(1, 2)
+
+
+@dataclass(frozen=True)
+class Kernels:
+    """Kernel density estimate of the strokes at each time: what a flow trained to its end becomes.
+
+    noise: the kernels' deviation [fraction of the picture's size]; None: the likeliest for a stroke left out. points:
+    along each stroke.
+    """
+
+    noise: float | None = None
+    points: int = 100
+
+    def fit(self, strokes, size, *, seed: int = 0) -> KernelDensity:
+        """strokes: (S, N, 2) [px] at N times evenly in [0, 1]. size: of the picture [px]. Nothing is random."""
+        y = _resample(np.asarray(strokes, dtype=float), self.points)
+        size = np.asarray(size, dtype=float)
+        noise = left_out_noise(y / size) if self.noise is None else self.noise
+        covariance = np.tile(np.diag((noise * size) ** 2), (self.points, 1, 1))
+        return KernelDensity(np.linspace(0, 1, self.points), y, covariance, float(noise))
+
+
+@dataclass(frozen=True)
+class GaussianTube:
+    """One Gaussian at each time: the strokes' mean and covariance there.
+
+    noise: added to the deviation [fraction of the picture's size]; None: the likeliest for a stroke left out. points:
+    along each stroke.
+    """
+
+    noise: float | None = None
+    points: int = 100
+
+    def fit(self, strokes, size, *, seed: int = 0) -> KernelDensity:
+        """strokes: (S, N, 2) [px] at N times evenly in [0, 1]. size: of the picture [px]. Nothing is random."""
+        y = _resample(np.asarray(strokes, dtype=float), self.points)
+        size = np.asarray(size, dtype=float)
+        noise = left_out_noise(y / size) if self.noise is None else self.noise
+        off = y - y.mean(axis=0)
+        covariance = np.einsum("sta,stb->tab", off, off) / len(y) + np.diag((noise * size) ** 2)
+        return KernelDensity(np.linspace(0, 1, self.points), y.mean(axis=0, keepdims=True), covariance, float(noise))

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from teach.density import over_picture, NOISES, Flow, JointFlow, left_out_noise
+from teach.density import NOISES, Flow, GaussianTube, JointFlow, Kernels, left_out_noise, over_picture
 
 SIZE = (320, 240)
 S = np.linspace(0, 1, 60)
@@ -125,3 +125,29 @@ def test_one_cycle_rises_to_the_learning_rate_and_ends_near_zero(counted):
 def test_a_schedule_that_is_not_known_is_refused():
     with pytest.raises(ValueError, match="one_cycle"):
         JointFlow(schedule="warm").fit(strokes(), SIZE)
+
+
+@pytest.mark.parametrize("density", [Kernels(), GaussianTube(), Kernels(noise=0.02)], ids=["kernels", "tube", "wide kernels"])
+def test_densities_without_training_integrate_to_one_and_draw_what_they_say(density):
+    fitted = density.fit(strokes(), SIZE)
+    for t in (0.0, 0.37, 1.0):
+        assert abs(mass(fitted, t) - 1) < 0.01
+    draws = fitted.sample(20_000, [0.5], np.random.default_rng(0))[0]
+    truth = np.stack([np.interp(0.5, S, axis) for axis in strokes()[1].T])
+    spread = np.array([0, 2 / 3 * 64]) + (fitted.noise * np.array(SIZE)) ** 2  # of strokes 8 px apart, and the kernels'
+    assert np.abs(draws.mean(axis=0) - truth).max() < 0.5 and np.allclose(draws.var(axis=0), spread, rtol=0.1)
+
+
+def test_kernels_tell_strokes_apart_where_a_tube_does_not():
+    apart = strokes((-30, 30))
+    between = strokes((0,))[0][30]
+    kernels, tube = (density(noise=0.02).fit(apart, SIZE).log_prob(S[30], between) for density in (Kernels, GaussianTube))
+    assert tube > kernels + 3
+
+
+def test_the_tube_is_the_normal_density_in_closed_form():
+    tube = GaussianTube(noise=0.01).fit(strokes(), SIZE)
+    point, mean = np.array([150.0, 160.0]), tube.strokes[0, 40]
+    C = tube.covariance[40]
+    expected = -0.5 * (point - mean) @ np.linalg.inv(C) @ (point - mean) - 0.5 * np.log(np.linalg.det(2 * np.pi * C))
+    assert np.isclose(tube.log_prob(tube.times[40], point), expected)
