@@ -46,6 +46,8 @@ RELAXED = {"max_ratio": 0.9, "init_inliers": 25, "pose_inliers": 15, "init_angle
 """Thresholds of matching and mapping: first for all photographs, then for pairs with those that were left out."""
 PEAK, RELAXED_PEAK = 0.0067, 0.002
 """Contrast a feature must have; the lower one is tried where the first attempt joins too few photographs."""
+LEAST_BYTES = {"cameras.bin": 48, "images.bin": 73, "points3D.bin": 51}
+"""Of one record of COLMAP's binary files."""
 
 
 class ReconstructionFailed(ValueError):
@@ -158,6 +160,7 @@ def adopt(
         settings |= {"names": given.names, "lenses": given.lenses, "poses": given.poses.tolist()}
         settings |= {"points": points.tolist(), "colours": colours.tolist()}
     else:
+        _require_whole(Path(given))
         settings |= {"names": (), "sparse": str(Path(given).absolute())}
     unfinished = work / ".colmap.part"
     shutil.rmtree(unfinished, ignore_errors=True)
@@ -166,6 +169,18 @@ def adopt(
         return _worked("adopt", settings | {"folder": str(unfinished.absolute())}, work, progress)
     finally:
         shutil.rmtree(unfinished, ignore_errors=True)
+
+
+def _require_whole(sparse: Path) -> None:
+    """Raise ReconstructionFailed where a binary file is shorter than the number of records it states: COLMAP would read on
+    for minutes."""
+    for name, record in LEAST_BYTES.items():
+        path = sparse / name
+        if path.is_file():
+            with open(path, "rb") as file:
+                count = int.from_bytes(file.read(8), "little")
+            if path.stat().st_size < 8 + record * count:
+                raise ReconstructionFailed(f"{sparse} is not a readable COLMAP model: {name} is cut off or damaged")
 
 
 def _worked(task: str, settings: dict, work: Path, progress: bool) -> Model:
