@@ -21,7 +21,7 @@ import numpy as np
 
 from scene.camera import Camera
 from scene.colmap import Model, ReconstructionFailed
-from scene.files import replacing
+from scene.files import parse_json, replacing
 from scene.frame import Similarity, umeyama, with_uncertainty
 from scene.triangulation import triangulate
 
@@ -70,19 +70,14 @@ class TagLayout:
     @classmethod
     def load(cls, path: str | Path) -> "TagLayout":
         """Read tags.json: {"family": "36h11", "size": [m], "tags": {number: {"base_from_tag": 4 x 4}}}."""
-        path = Path(path)
-        if not path.is_file():
-            raise FileNotFoundError(f"no such tag layout: {path}")
-        try:
-            content = json.loads(path.read_text(encoding="utf-8"))
-            if content["family"] != FAMILY:
-                raise ValueError(f"family must be {FAMILY}, not {content['family']}")
-            poses = {int(n): np.array(tag["base_from_tag"], dtype=float) for n, tag in content["tags"].items()}
-            return cls(float(content["size"]), poses)
-        except KeyError as error:
-            raise ValueError(f"{path}: missing {error.args[0]}") from error
-        except (TypeError, AttributeError, ValueError) as error:
-            raise ValueError(f"{path}: {error}") from error
+        return parse_json(path, "tag layout", cls._parsed)
+
+    @classmethod
+    def _parsed(cls, content) -> "TagLayout":
+        if content["family"] != FAMILY:
+            raise ValueError(f"family must be {FAMILY}, not {content['family']}")
+        poses = {int(n): np.array(tag["base_from_tag"], dtype=float) for n, tag in content["tags"].items()}
+        return cls(float(content["size"]), poses)
 
     def save(self, path: str | Path):
         """Write tags.json, whole or not at all."""

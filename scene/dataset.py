@@ -25,7 +25,7 @@ import numpy as np
 from PIL import ExifTags, Image, ImageOps
 
 from scene.camera import OPENCV_FROM_OPENGL, Camera, View
-from scene.files import replacing
+from scene.files import read_json, replacing
 
 EXTENSIONS = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp")
 INTRINSICS = ("w", "h", "fl_x", "fl_y", "cx", "cy")
@@ -134,12 +134,7 @@ def load_frame(folder: str | Path) -> dict:
 
 def load_transforms(path: Path) -> dict:
     """What a transforms.json says. Raises FileNotFoundError, or ValueError if it is not JSON or has no frames."""
-    if not path.is_file():
-        raise FileNotFoundError(f"no {path.name} in {path.parent}: reconstruct its photographs first")
-    try:
-        meta = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
-        raise ValueError(f"{path} is not JSON: {error}") from error
+    meta = read_json(path, f"no {path.name} in {path.parent}: reconstruct its photographs first")
     frames = meta.get("frames") if isinstance(meta, dict) else None
     if not isinstance(frames, list) or not frames or not all(isinstance(f, dict) for f in frames):
         raise ValueError(f"{path}: the key frames must hold a list of at least one frame")

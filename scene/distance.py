@@ -12,7 +12,6 @@ point beyond it in the direction of the base's x axis, at any height) are given;
 more.
 """
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -22,6 +21,7 @@ import numpy as np
 from scene import gravity
 from scene.camera import Camera
 from scene.colmap import Model, ReconstructionFailed, straighten
+from scene.files import parse_json
 from scene.frame import Similarity, judged, level
 from scene.triangulation import triangulate
 
@@ -61,23 +61,18 @@ class Ruler:
     @classmethod
     def load(cls, path: str | Path) -> "Ruler":
         """Read distance.json."""
-        path = Path(path)
-        if not path.is_file():
-            raise FileNotFoundError(f"no such file of a distance: {path}")
-        try:
-            content = json.loads(path.read_text(encoding="utf-8"))
-            known = {"distance", "from", "to", "origin", "origin_in_base", "forward"}
-            unknown = ", ".join(sorted(content.keys() - known))
-            if unknown:
-                raise ValueError(f"unknown {unknown}; there are {', '.join(sorted(known))}")
-            optional = {key: _place(key, content[key]) for key in ("origin", "forward") if key in content}
-            ends = _place("from", content["from"]), _place("to", content["to"])
-            optional["origin_in_base"] = content.get("origin_in_base", (0, 0, 0))
-            return cls(float(content["distance"]), *ends, **optional)
-        except KeyError as error:
-            raise ValueError(f"{path}: missing {error.args[0]}") from error
-        except (TypeError, AttributeError, ValueError) as error:
-            raise ValueError(f"{path}: {error}") from error
+        return parse_json(path, "file of a distance", cls._parsed)
+
+    @classmethod
+    def _parsed(cls, content) -> "Ruler":
+        known = {"distance", "from", "to", "origin", "origin_in_base", "forward"}
+        unknown = ", ".join(sorted(content.keys() - known))
+        if unknown:
+            raise ValueError(f"unknown {unknown}; there are {', '.join(sorted(known))}")
+        optional = {key: _place(key, content[key]) for key in ("origin", "forward") if key in content}
+        ends = _place("from", content["from"]), _place("to", content["to"])
+        optional["origin_in_base"] = content.get("origin_in_base", (0, 0, 0))
+        return cls(float(content["distance"]), *ends, **optional)
 
 
 def _place(name: str, place):

@@ -1,7 +1,8 @@
-"""Files are written whole or not at all: a killed job leaves no half file."""
+"""Files are written whole or not at all: a killed job leaves no half file. What is read of JSON says what is wrong with it."""
 
+import json
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -17,3 +18,27 @@ def replacing(path: str | Path) -> Iterator[Path]:
         os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def read_json(path: Path, missing: str):
+    """What a JSON file holds. Raises FileNotFoundError saying ``missing`` where there is none, ValueError if it is not JSON."""
+    if not path.is_file():
+        raise FileNotFoundError(missing)
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise ValueError(f"{path} is not JSON: {error}") from error
+
+
+def parse_json(path: str | Path, what: str, parse: Callable):
+    """parse(what a JSON file holds). Raises FileNotFoundError, or ValueError naming the file and what parse misses in it or
+    finds wrong."""
+    path = Path(path)
+    if not path.is_file():
+        raise FileNotFoundError(f"no such {what}: {path}")
+    try:
+        return parse(json.loads(path.read_text(encoding="utf-8")))
+    except KeyError as error:
+        raise ValueError(f"{path}: missing {error.args[0]}") from error
+    except (TypeError, AttributeError, ValueError) as error:
+        raise ValueError(f"{path}: {error}") from error

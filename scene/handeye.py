@@ -14,7 +14,6 @@ Notation
     f_i + Q_i x = s R c_i + t          centre
 """
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -22,6 +21,7 @@ from pathlib import Path
 import numpy as np
 
 from scene.colmap import Model, ReconstructionFailed
+from scene.files import parse_json
 from scene.frame import Similarity, nearest_rotation, with_uncertainty
 from scene.poses import agreeing, angles, check_rigid, left_out, matched, refuse_strangers
 
@@ -166,16 +166,11 @@ def _refine(similarity: Similarity, X: np.ndarray, C: np.ndarray, F: np.ndarray)
 
 def load(path: str | Path) -> dict[str, np.ndarray]:
     """{name without extension: base_from_flange (4, 4) [m]} of arm_poses.json."""
-    path = Path(path)
-    if not path.is_file():
-        raise FileNotFoundError(f"no such file of arm poses: {path}")
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-        poses = {Path(name).stem: np.array(pose, dtype=float) for name, pose in content["base_from_flange"].items()}
-        for name, pose in poses.items():
-            check_rigid(pose, name)
-    except KeyError as error:
-        raise ValueError(f"{path}: missing {error.args[0]}") from error
-    except (TypeError, AttributeError, ValueError) as error:
-        raise ValueError(f"{path}: {error}") from error
+    return parse_json(path, "file of arm poses", _parsed)
+
+
+def _parsed(content) -> dict[str, np.ndarray]:
+    poses = {Path(name).stem: np.array(pose, dtype=float) for name, pose in content["base_from_flange"].items()}
+    for name, pose in poses.items():
+        check_rigid(pose, name)
     return poses

@@ -20,6 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from scene.camera import OPENCV_FROM_OPENGL, Camera
+from scene.files import read_json
 from scene.paths import CameraPath
 
 
@@ -29,12 +30,7 @@ def read(path: str | Path, like: Camera) -> CameraPath:
     Raises FileNotFoundError or ValueError (not JSON, neither of the two kinds, missing keys, poses that are none).
     """
     path = Path(path)
-    if not path.is_file():
-        raise FileNotFoundError(f"no such file of camera poses: {path}")
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
-        raise ValueError(f"{path} is not JSON: {error}") from error
+    content = read_json(path, f"no such file of camera poses: {path}")
     if isinstance(content, list):
         content = {"poses": content}
     try:
