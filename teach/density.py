@@ -276,7 +276,7 @@ class KernelDensity:
         """log p [log 1/px^2] at points (..., 2) [px] and times t that broadcast against (...,)."""
         points = np.asarray(points, dtype=float)
         t = np.broadcast_to(np.asarray(t, dtype=float), points.shape[:-1])
-        C = _interpolate(t, self.times, self.covariance.reshape(len(self.times), 4)).reshape(*t.shape, 2, 2)
+        C = self._covariance_at(t)
         inverse, log_det = np.linalg.inv(C), np.log(np.linalg.det(C))
         off = np.stack([points - _interpolate(t, self.times, stroke) for stroke in self.strokes])
         squared = np.einsum("s...a,...ab,s...b->s...", off, inverse, off)
@@ -287,8 +287,10 @@ class KernelDensity:
         t = np.atleast_1d(np.asarray(t, dtype=float))
         centres = np.stack([_interpolate(t, self.times, stroke) for stroke in self.strokes], axis=1)  # (T, S, 2)
         chosen = centres[np.arange(len(t))[:, None], rng.integers(len(self.strokes), size=(len(t), n))]
-        C = _interpolate(t, self.times, self.covariance.reshape(len(self.times), 4)).reshape(-1, 2, 2)
-        return chosen + rng.standard_normal((len(t), n, 2)) @ np.linalg.cholesky(C).swapaxes(1, 2)
+        return chosen + rng.standard_normal((len(t), n, 2)) @ np.linalg.cholesky(self._covariance_at(t)).swapaxes(1, 2)
+
+    def _covariance_at(self, t) -> np.ndarray:
+        return _interpolate(t, self.times, self.covariance.reshape(len(self.times), 4)).reshape(*t.shape, 2, 2)
 
 
 @dataclass(frozen=True)
@@ -304,11 +306,8 @@ class Kernels:
 
     def fit(self, strokes, size, *, seed: int = 0) -> KernelDensity:
         """strokes: (S, N, 2) [px] at N times evenly in [0, 1]. size: of the picture [px]. Nothing is random."""
-        y = _resample(np.asarray(strokes, dtype=float), self.points)
-        size = np.asarray(size, dtype=float)
-        noise = left_out_noise(y / size) if self.noise is None else self.noise
-        covariance = np.tile(np.diag((noise * size) ** 2), (self.points, 1, 1))
-        return KernelDensity(np.linspace(0, 1, self.points), y, covariance, float(noise))
+        y, kernel, noise = _kernels(strokes, size, self.noise, self.points)
+        return KernelDensity(np.linspace(0, 1, self.points), y, np.tile(kernel, (self.points, 1, 1)), noise)
 
 
 @dataclass(frozen=True)
@@ -324,9 +323,14 @@ class GaussianTube:
 
     def fit(self, strokes, size, *, seed: int = 0) -> KernelDensity:
         """strokes: (S, N, 2) [px] at N times evenly in [0, 1]. size: of the picture [px]. Nothing is random."""
-        y = _resample(np.asarray(strokes, dtype=float), self.points)
-        size = np.asarray(size, dtype=float)
-        noise = left_out_noise(y / size) if self.noise is None else self.noise
+        y, kernel, noise = _kernels(strokes, size, self.noise, self.points)
         off = y - y.mean(axis=0)
-        covariance = np.einsum("sta,stb->tab", off, off) / len(y) + np.diag((noise * size) ** 2)
-        return KernelDensity(np.linspace(0, 1, self.points), y.mean(axis=0, keepdims=True), covariance, float(noise))
+        covariance = np.einsum("sta,stb->tab", off, off) / len(y) + kernel
+        return KernelDensity(np.linspace(0, 1, self.points), y.mean(axis=0, keepdims=True), covariance, noise)
+
+
+def _kernels(strokes, size, noise: float | None, points: int) -> tuple[np.ndarray, np.ndarray, float]:
+    """Strokes (S, points, 2) [px], the covariance (2, 2) [px^2] of a kernel, and its deviation [of the picture's size]."""
+    y, size = _resample(np.asarray(strokes, dtype=float), points), np.asarray(size, dtype=float)
+    noise = float(left_out_noise(y / size) if noise is None else noise)
+    return y, np.diag((noise * size) ** 2), noise
