@@ -9,13 +9,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.spatial.transform import Rotation
 
 from scene import distance
 from scene.camera import Camera, look_at
 from scene.colmap import Model, ReconstructionFailed, straighten
 from scene.distance import Ruler
-from scene.frame import Similarity
+from similarities import random_similarity, unscaled
 
 A, B = np.array([0.3, -0.4, 0.0]), np.array([0.9, 0.4, 0.0])
 ORIGIN, FORWARD = np.array([0.25, 0.1, 0.02]), np.array([0.85, 0.1, 0.15])
@@ -33,11 +32,6 @@ def table(count=400):
     return np.concatenate([rng.uniform([0, -0.6, 0], [1.2, 0.6, 0], (count, 3)), rng.uniform([0.4, -0.2, 0.1], [0.8, 0.2, 0.3], (100, 3))])
 
 
-def random_similarity(seed):
-    rng = np.random.default_rng(seed)
-    return Similarity(float(rng.uniform(0.1, 5)), Rotation.random(random_state=seed).as_matrix(), rng.normal(size=3))
-
-
 def clicks(point, rng, px=0.0, count=8):
     return {NAMES[i]: cameras()[i].project(point) + rng.normal(0, px, 2) for i in rng.choice(len(NAMES), count, replace=False)}
 
@@ -49,7 +43,7 @@ def ruler(rng, px=0.0, mm=0.0, count=8, **changed):
 
 
 def fit(given, true, points=None):
-    seen = [camera.moved(np.linalg.inv(true.matrix)) for camera in cameras()]
+    seen = unscaled(true, cameras())
     points = np.linalg.solve(true.matrix, np.c_[table(), np.ones(500)].T).T[:, :3] if points is None else points
     return distance.fit_frame(given, NAMES, seen, points, np.full(len(points), 0.5)), seen
 

@@ -9,25 +9,13 @@ from hypothesis import strategies as st
 from scene import frame
 from scene.camera import Camera, look_at
 from scene.colmap import Model, ReconstructionFailed
-from scene.frame import Similarity
+from similarities import random_similarity, unscaled
 
 
 def cameras(count=8):
     angles = np.linspace(0, 5, count)
     eyes = [(0.6 + 1.2 * np.cos(a), 1.2 * np.sin(a), 0.9 + 0.4 * np.sin(3 * a)) for a in angles]
     return [Camera.from_fov(look_at(eye, (0.6, 0, 0)), 640, 480, 50) for eye in eyes]
-
-
-def random_similarity(seed):
-    rng = np.random.default_rng(seed)
-    rotation = np.linalg.qr(rng.normal(size=(3, 3)))[0]
-    rotation *= np.linalg.det(rotation)
-    return Similarity(float(rng.uniform(0.1, 5)), rotation, rng.normal(size=3))
-
-
-def unscaled(similarity, to_move):
-    """The cameras in a model's frame that ``similarity`` brings to the robot's base."""
-    return [camera.moved(np.linalg.inv(similarity.matrix)) for camera in to_move]
 
 
 @settings(max_examples=30, deadline=None)

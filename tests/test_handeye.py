@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from scene import handeye
 from scene.camera import Camera, look_at
 from scene.colmap import ReconstructionFailed
-from scene.frame import Similarity
+from similarities import random_similarity, unscaled
 
 
 def rigid(rotvec, translation):
@@ -30,11 +30,6 @@ def cameras(count=30, seed=0):
     return [Camera.from_fov(look_at(eye, rng.normal((0.6, 0, 0), 0.15)), 640, 480, 50) for eye in eyes]
 
 
-def random_similarity(seed):
-    rng = np.random.default_rng(seed)
-    return Similarity(float(rng.uniform(0.1, 5)), Rotation.random(random_state=seed).as_matrix(), rng.normal(size=3))
-
-
 def noisy(pose, rng, mm, degrees):
     return pose @ rigid(rng.normal(0, np.radians(degrees), 3), rng.normal(0, mm / 1000, 3))
 
@@ -42,7 +37,7 @@ def noisy(pose, rng, mm, degrees):
 def scene(true, known, seed=0, mm=0.0, degrees=0.0):
     """(names, model_from_camera, base_from_flange with noise, the model's cameras)."""
     rng = np.random.default_rng(seed)
-    seen = [camera.moved(np.linalg.inv(true.matrix)) for camera in known]
+    seen = unscaled(true, known)
     flange = np.array([noisy(c.world_from_camera @ np.linalg.inv(FLANGE_FROM_CAMERA), rng, mm, degrees) for c in known])
     return [f"{i:04d}" for i in range(len(known))], np.array([c.world_from_camera for c in seen]), flange, seen
 

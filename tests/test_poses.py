@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from scene import poses
 from scene.camera import Camera, invert, look_at
 from scene.colmap import ReconstructionFailed
-from scene.frame import Similarity
+from similarities import random_similarity, unscaled
 
 
 def cameras(count=20):
@@ -25,11 +25,6 @@ def rows(count=6):
     return [Camera.from_fov(look_at((x, -2.0, 1.0), (x, 0.0, 0.0)), 64, 48, 50) for x in np.linspace(0, 1, count)]
 
 
-def random_similarity(seed):
-    rng = np.random.default_rng(seed)
-    return Similarity(float(rng.uniform(0.1, 5)), Rotation.random(random_state=seed).as_matrix(), rng.normal(size=3))
-
-
 def noisy(pose, rng, mm, degrees):
     pose = pose.copy()
     pose[:3, :3] = pose[:3, :3] @ Rotation.from_rotvec(rng.normal(0, np.radians(degrees), 3)).as_matrix()
@@ -40,7 +35,7 @@ def noisy(pose, rng, mm, degrees):
 def scene(true, known, seed=0, mm=0.0, degrees=0.0):
     """(names, poses of the model, poses in the base with noise, the model's cameras)."""
     rng = np.random.default_rng(seed)
-    seen = [camera.moved(np.linalg.inv(true.matrix)) for camera in known]
+    seen = unscaled(true, known)
     base = np.array([noisy(c.world_from_camera, rng, mm, degrees) for c in known])
     return [f"{i:04d}" for i in range(len(known))], np.array([c.world_from_camera for c in seen]), base, seen
 

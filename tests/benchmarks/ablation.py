@@ -8,10 +8,9 @@ A row is the mean over all motions and seeds; columns are those of strokes.py. H
 The same steps through the whole job, on the simulated scene: scene2skill -m experiment=ablation.
 """
 
-import argparse
 from pathlib import Path
 
-from strokes import cases, fitter, heading, line, mean_scores
+from strokes import cases, fitter, heading, line, mean_scores, parsed, parser
 
 import conf
 
@@ -20,14 +19,9 @@ WIDTH = max(map(len, STEPS)) + 2
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("protocol", choices=("letters", "scripted"))
-    parser.add_argument("--seeds", type=int, default=0, help="5 for letters, 30 for scripted")
-    parser.add_argument("--modes", nargs="+", default=["drawn", "own"])
-    parser.add_argument("--steps", nargs="+", default=STEPS, choices=STEPS)
-    parser.add_argument("rest", nargs="*", help="the folder of letters; Hydra's overrides")
-    args = parser.parse_intermixed_args()
-    overrides, folders = [x for x in args.rest if "=" in x], [x for x in args.rest if "=" not in x]
+    options = parser(__doc__)
+    options.add_argument("--steps", nargs="+", default=STEPS, choices=STEPS)
+    args, overrides, folders = parsed(options)
     for mode in args.modes:
         print(heading(mode, WIDTH), flush=True)
         for step in args.steps:

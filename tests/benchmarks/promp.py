@@ -9,11 +9,10 @@ Columns are those of strokes.py. The ProMP is given all that strokes withhold: t
 demonstrations are at equal arc length). It has as many basis functions, and its own EM.
 """
 
-import argparse
 from types import SimpleNamespace
 
 import numpy as np
-from strokes import T, cases, fitter, heading, line, mean_scores, resample, scores
+from strokes import T, cases, fitter, heading, line, mean_scores, parsed, parser, resample, scores
 
 try:
     from movement_primitives.promp import ProMP
@@ -49,13 +48,7 @@ def imitate(training):
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("protocol", choices=("letters", "scripted"))
-    parser.add_argument("--seeds", type=int, default=0, help="5 for letters, 30 for scripted")
-    parser.add_argument("--modes", nargs="+", default=["drawn", "own"])
-    parser.add_argument("rest", nargs="*", help="the folder of letters; Hydra's overrides")
-    args = parser.parse_intermixed_args()
-    overrides, folders = [x for x in args.rest if "=" in x], [x for x in args.rest if "=" not in x]
+    args, overrides, folders = parsed(parser(__doc__))
     for mode in args.modes:
         every = list(cases(args.protocol, mode, args.seeds, *folders))
         print(heading(mode, 16))

@@ -21,7 +21,7 @@ from scipy.io import loadmat
 
 from scene.camera import Camera, look_at
 from teach import hand, metrics, scripted
-from teach.curve import extent, mean_curve, resample
+from teach.curve import mean_curve, resample
 from teach.sketch import Sketch, Stroke
 
 T = np.linspace(0, 1, 200)
@@ -138,17 +138,28 @@ def line(title: str, row, width: int = 8) -> str:
     return f"{title:{width}}" + "".join(f"{value:8.3f}" for value in row)
 
 
+def parser(doc: str) -> argparse.ArgumentParser:
+    """What these benchmarks are asked for on the command line."""
+    options = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
+    options.add_argument("protocol", choices=("letters", "scripted"))
+    options.add_argument("--seeds", type=int, default=0, help="5 for letters, 30 for scripted")
+    options.add_argument("--modes", nargs="+", default=["drawn", "own"])
+    options.add_argument("rest", nargs="*", help="the folder of letters; Hydra's overrides")
+    return options
+
+
+def parsed(options: argparse.ArgumentParser) -> tuple[argparse.Namespace, list[str], list[str]]:
+    """The arguments, Hydra's overrides among them, and the folders."""
+    args = options.parse_intermixed_args()
+    return args, [x for x in args.rest if "=" in x], [x for x in args.rest if "=" not in x]
+
+
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("protocol", choices=("letters", "scripted"))
-    parser.add_argument("--seeds", type=int, default=0, help="5 for letters, 30 for scripted")
-    parser.add_argument("--modes", nargs="+", default=["drawn", "own"])
-    parser.add_argument("rest", nargs="*", help="the folder of letters; Hydra's overrides")
-    args = parser.parse_args()
-    fit = fitter([x for x in args.rest if "=" in x])
+    args, overrides, folders = parsed(parser(__doc__))
+    fit = fitter(overrides)
     for mode in args.modes:
         rows: dict[str, list] = {}
-        for title, seed, *case in cases(args.protocol, mode, args.seeds, args.rest[0] if args.rest else None):
+        for title, seed, *case in cases(args.protocol, mode, args.seeds, *folders):
             rows.setdefault(title, []).append(scores(fit, seed, *case))
             print(".", end="", file=sys.stderr, flush=True)
         print("\n" + heading(mode))
