@@ -177,6 +177,17 @@ def orbit(target, radius, elevation_deg, count, start_deg=0.0, sweep_deg=360.0) 
     return [look_at(np.asarray(target, dtype=float) + offset, target) for offset in offsets]
 
 
+def nearest_to_rays(origins, directions) -> np.ndarray:
+    """The points (..., 3) nearest to rays (..., V, 3), (..., V, 3): least squares, sum_v (I - d_v d_v^T) (x - o_v) = 0.
+
+    Where all rays are parallel, of the points that are equally near the one nearest to the world's origin.
+    """
+    origins, directions = np.asarray(origins, dtype=float), np.asarray(directions, dtype=float)
+    across = np.eye(3) - directions[..., :, None] * directions[..., None, :]  # projection across each ray
+    pull = np.einsum("...vij,...vj->...i", across, origins)
+    return (np.linalg.pinv(across.sum(axis=-3), hermitian=True) @ pull[..., None])[..., 0]
+
+
 def ray_distance(origins_a, directions_a, origins_b, directions_b) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Closest approach of lines a and b, all (..., 3) with unit directions.
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from scene.camera import Camera, look_at
+from scene.camera import Camera, look_at, nearest_to_rays
 from scene.camera import orbit as circle
 
 MOST_GAP_DEG = 60.0  # a path does not cross an arc wider than this that nobody photographed
@@ -84,13 +84,8 @@ def load(cameras: Sequence[Camera], *, file: str) -> CameraPath:
 
 
 def focus(cameras: Sequence[Camera]) -> np.ndarray:
-    """The point (3,) that is nearest to all optical axes: what the photographs look at.
-
-    Least squares over the axes: sum_i (I - d_i d_i^T) (x - o_i) = 0.
-    """
-    rejections = np.eye(3) - np.einsum("ni,nj->nij", *2 * [np.stack([c.forward for c in cameras])])
-    centres = np.stack([c.centre for c in cameras])
-    return np.linalg.lstsq(rejections.sum(0), np.einsum("nij,nj->i", rejections, centres), rcond=None)[0]
+    """The point (3,) that is nearest to all optical axes: what the photographs look at."""
+    return nearest_to_rays([camera.centre for camera in cameras], [camera.forward for camera in cameras])
 
 
 def _photographed(cameras) -> tuple[np.ndarray, float, np.ndarray, float, float]:

@@ -23,7 +23,7 @@ from jaxtyping import Float
 from scipy.ndimage import gaussian_filter1d
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
-from scene.camera import Camera
+from scene.camera import Camera, nearest_to_rays
 from teach.basis import SquaredExponential
 from teach.epipolar import at, fundamental, lag_between
 from teach.likelihood import OFFSET, SIZE, SMOOTH, SMOOTH_LENGTH, projection, smoothness_penalty
@@ -200,9 +200,8 @@ def triangulate(pixels, cameras) -> np.ndarray:
     """(N, 3) [m]: for each n the point nearest to the rays through pixels[v][n], least squares over any number of
     views."""
     rays = [camera.rays(px) for px, camera in zip(pixels, cameras, strict=True)]
-    across = [np.eye(3) - d[:, :, None] * d[:, None] for _, d in rays]  # projection across each ray
-    A = np.sum(across, axis=0) + 1e-9 * np.eye(3)
-    return np.linalg.solve(A, np.sum([P @ o[..., None] for P, (o, _) in zip(across, rays, strict=True)], axis=0))[..., 0]
+    origins, directions = (np.stack(part, axis=1) for part in zip(*rays, strict=True))  # (N, V, 3)
+    return nearest_to_rays(origins, directions)
 
 
 def _smoothed(curve) -> np.ndarray:

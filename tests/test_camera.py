@@ -3,7 +3,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from scene.camera import OPENCV_FROM_OPENGL, Camera, View, invert, look_at, orbit, ray_distance
+from scene.camera import OPENCV_FROM_OPENGL, Camera, View, invert, look_at, nearest_to_rays, orbit, ray_distance
 
 coordinate = st.floats(-2, 2).map(lambda v: round(v, 6))
 position = st.tuples(coordinate, coordinate, coordinate).map(np.array)
@@ -170,3 +170,18 @@ def test_a_view_whose_picture_does_not_fit_its_camera_is_refused():
     camera = Camera.from_fov(np.eye(4), 4, 2, 90)
     with pytest.raises(ValueError, match="view a.*uint8"):
         View("a", camera, np.zeros((4, 2, 3), np.uint8))
+
+
+def test_the_point_nearest_to_rays_is_where_they_meet_or_else_least_squares():
+    rng = np.random.default_rng(0)
+    x, directions = rng.normal(size=(5, 1, 3)), rng.normal(size=(5, 4, 3))
+    directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
+    origins = x - directions * rng.uniform(1, 3, (5, 4, 1))
+    assert np.abs(nearest_to_rays(origins, directions) - x[:, 0]).max() < 1e-12
+    off = origins + 0.1 * rng.normal(size=origins.shape)
+    across = np.eye(3) - directions[..., None] * directions[..., None, :]
+    cost = lambda point: (np.einsum("nvij,nvj->nvi", across, point[:, None] - off) ** 2).sum((1, 2))
+    best = nearest_to_rays(off, directions)
+    assert all((cost(best + step) > cost(best)).all() for step in 1e-3 * np.vstack([np.eye(3), -np.eye(3)]))
+    parallel = nearest_to_rays([[1.0, 0, 5], [-1, 0, 5]], [[0, 0, 1.0], [0, 0, 1]])
+    assert np.abs(parallel).max() < 1e-12
