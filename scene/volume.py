@@ -25,16 +25,6 @@ def contract(x: torch.Tensor) -> torch.Tensor:
     return x * (2 * r - 1) / r**2
 
 
-def contraction_speed(x: torch.Tensor, d: torch.Tensor) -> torch.Tensor:
-    """|dc/dt| (...,) at points x (..., 3) when moving along unit directions d (..., 3)."""
-    r, axis = x.abs().max(-1, keepdim=True)
-    dr = torch.sign(x.gather(-1, axis)) * d.gather(-1, axis)
-    inside = r <= 1
-    r = r.clamp_min(1.0)
-    dc = d * (2 * r - 1) / r**2 + x * (2 * (1 - r) / r**3) * dr
-    return torch.where(inside, d, dc).norm(dim=-1)
-
-
 def opacity(sigma: torch.Tensor, delta: torch.Tensor) -> torch.Tensor:
     """alpha of a stretch of length delta and uniform density sigma."""
     return -torch.expm1(-sigma * delta)
