@@ -68,9 +68,8 @@ class TrajectoryDistribution:
         return self.basis(t) @ self.sample_weights(n, rng)
 
     def sample_weights(self, n: int, rng: np.random.Generator) -> np.ndarray:
-        """n weight matrices (n, M, 3) [m]. The square root is an eigendecomposition: S may be singular."""
-        values, vectors = np.linalg.eigh(self.covariance)
-        deviations = rng.standard_normal((n, len(values))) * np.sqrt(np.clip(values, 0, None)) @ vectors.T
+        """n weight matrices (n, M, 3) [m]."""
+        deviations = rng.standard_normal((n, len(self.covariance))) @ self._root.T
         return self.mean + deviations.reshape(n, *self.mean.shape)
 
     def log_prob(self, t, x) -> np.ndarray:
@@ -94,27 +93,37 @@ class TrajectoryDistribution:
         if x.shape != (len(t), 3) or not (np.isfinite(t).all() and np.isfinite(x).all()):
             raise ValueError(f"{len(t)} conditioned time(s) need as many finite positions (3,), not {x.shape}")
         H, R = self.features(t), _blocks(covariance, len(t))
-        S, w = self.covariance, self.mean.ravel()
+        root, w = self._root, self.mean.ravel()
         if local:
-            S = S + self._bumps(t, x, R)
+            root = np.concatenate([root, self._bumps(t, x, R)], axis=1)
+        S = root @ root.T
         K = np.linalg.lstsq(_symmetric(H @ S @ H.T + R).T, H @ S, rcond=1e-12)[0].T
         w = w + K @ (x.ravel() - H @ w)
-        A = np.eye(len(w)) - K @ H
+        root = root - K @ (H @ root)  # of roots, since what is left of a bump is but the rounding of its square
+        S = root @ root.T + K @ R @ K.T
         if covariance is None:  # roundoff and singular S leave a remainder: the nearest weights that have none
             w = _nearest(w, H, x.ravel())
-            A = A - np.linalg.pinv(H, rcond=1e-10) @ (H @ A)
+            free = np.eye(len(w)) - np.linalg.pinv(H, rcond=1e-10) @ H
+            S = free @ S @ free.T
             if np.abs(H @ w - x.ravel()).max() > EXACT:
                 raise ValueError(f"no trajectory of this basis passes all {len(t)} points at t = {np.round(t, 4)}: "
                                  "conditions at (nearly) the same time contradict each other")
-        return replace(self, mean=w.reshape(-1, 3), covariance=_symmetric(A @ S @ A.T + K @ R @ K.T))
+        return replace(self, mean=w.reshape(-1, 3), covariance=_symmetric(S))
+
+    @property
+    def _root(self) -> np.ndarray:
+        """(3M, 3M) with _root _root^T = S; an eigendecomposition, since S may be singular: what is but rounding is 0."""
+        values, vectors = np.linalg.eigh(self.covariance)
+        rounding = len(values) * np.finfo(float).eps * values[-1]
+        return vectors * np.sqrt(np.where(values > rounding, values, 0.0))
 
     def _bumps(self, t, x, R) -> np.ndarray:
-        """Covariance (3M, 3M) [m^2] of bumps of free height around the conditions that S does not explain.
+        """Root (3M, B) [m] of the covariance of bumps of free height around the conditions that S does not explain.
 
         A condition's squared Mahalanobis distance m beyond LIKELY comes down to LIKELY^2 / m by the bump's variance, so
         that S answers for the share (LIKELY / m)^2 of the way: all of it at LIKELY, nearly nothing of it far away.
         """
-        D, grid = np.zeros_like(self.covariance), np.linspace(0, 1, 200)
+        bumps, grid = [np.zeros((len(self.covariance), 0))], np.linspace(0, 1, 200)
         Phi = self.basis(grid)
         for k, (time, position) in enumerate(zip(t, x, strict=True)):
             C = self.covariance_at(time)[0] + R[3 * k : 3 * k + 3, 3 * k : 3 * k + 3]
@@ -129,12 +138,10 @@ class TrajectoryDistribution:
                 bump = np.linalg.solve(Phi.T @ Phi + 1e-6 * np.trace(Phi.T @ Phi) * np.eye(len(target)), target)
                 bump = bump / (self.basis(time)[0] @ bump)
                 variance = (off @ off) * min(m / LIKELY**2 - 1 / m, FAR)
-                D += np.kron(variance * np.outer(bump, bump), np.eye(3))
-        if not D.any():
-            return D
+                bumps.append(np.sqrt(variance) * np.kron(bump[:, None], np.eye(3)))
         values, vectors = np.linalg.eigh(self.covariance)
         free = vectors[:, values > 1e-11 * values[-1]]  # what was met exactly before stays so
-        return free @ (free.T @ D @ free) @ free.T
+        return free @ (free.T @ np.concatenate(bumps, axis=1))
 
     def with_first_weight(self, x) -> "TrajectoryDistribution":
         """The paper's way to start at x (3,) [m]: every sample keeps W_2: and alters W_1 so that xi(0) = x, eq.
