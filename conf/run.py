@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 import traceback
+from concurrent.futures.process import BrokenProcessPool
 from importlib.metadata import version
 from pathlib import Path
 
@@ -15,10 +16,15 @@ import hydra
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import HydraException
 from hydra.types import RunMode
+from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from conf import rerun
+from conf.mistakes import explained
+from conf.results import figures_of
 from conf.stages import Job, write_json
+from conf.sweep import Sweep, is_finished, settings_key
 from scene.inputs import scene_name
 
 log = logging.getLogger("scene2skill")
@@ -44,15 +50,23 @@ def launch(task, *overrides: str) -> int:
         return _run_job(task, cfg)
 
     sys.argv[1:1] = overrides
+    sweep = None
     try:
+        sys.argv[1:] = rerun.expanded(sys.argv[1:])
+        sweep = Sweep.begin(sys.argv[1:], _git("rev-parse", "HEAD"))
+        if sweep is not None:
+            sys.argv.append(f"hydra.sweep.dir='{sweep.folder}'")
         hydra_main()
     except KeyboardInterrupt:
         print("\nInterrupted. Finished stages are kept: the same command goes on from there.", file=sys.stderr)
         return 130
     except USER_ERRORS as error:
-        print(f"error: {_one_line(error)}", file=sys.stderr)
-        return 2
-    return 0
+        return _report(error)
+    except BrokenProcessPool:
+        return _report(MemoryError("the process of a job was killed, perhaps for want of memory; the same command goes on from there"))
+    finally:
+        failed = sweep.end() if sweep is not None else 0
+    return failed
 
 
 def _groups() -> str:
@@ -68,35 +82,57 @@ def _groups() -> str:
 
 
 def _run_job(task, cfg: DictConfig):
-    run_folder = Path(HydraConfig.get().runtime.output_dir)
+    run_folder, one_of_many = Path(HydraConfig.get().runtime.output_dir), HydraConfig.get().mode == RunMode.MULTIRUN
     job = Job(cfg, capture_folder(cfg), run_folder)
-    status = {"state": "running", "capture": str(job.capture), "started": time.strftime("%Y-%m-%dT%H:%M:%S")}
+    settings = settings_key(cfg)
+    if one_of_many:
+        log.info("job %s: %s", run_folder.name, " ".join(HydraConfig.get().overrides.task))
+        if is_finished(run_folder, settings):
+            log.info("  finished earlier")
+            return _objective(job)
+    status = {"state": "running", "capture": str(job.capture), "settings": settings, "started": time.strftime("%Y-%m-%dT%H:%M:%S")}
     write_json(run_folder / "status.json", status)
     write_json(run_folder / "provenance.json", provenance())
     started = time.perf_counter()
     try:
+        track = instantiate(cfg.get("tracking"))
         task(job)
         status["state"] = "finished"
+        _look_back(job, track)
     except KeyboardInterrupt:
         status["state"] = "interrupted"
         raise
     except Exception as error:
-        status |= {"state": "failed", "error": _one_line(error), "traceback": traceback.format_exc()}
-        if isinstance(error, USER_ERRORS) and HydraConfig.get().mode == RunMode.RUN:
+        status |= {"state": "failed", "error": explained(error), "traceback": traceback.format_exc()}
+        if one_of_many:  # the others go on; the sweep's end names it
+            return float("nan")
+        if isinstance(error, USER_ERRORS):
             raise SystemExit(_report(error)) from None
         raise
     finally:
         status["seconds"] = round(time.perf_counter() - started, 3)
         write_json(run_folder / "status.json", status)
+    return _objective(job)
+
+
+def _look_back(job: Job, track) -> None:
+    """What is done with the figures of a finished job: tracked, and compared with those of the job it repeats."""
+    if track is not None:
+        track(OmegaConf.to_container(job.cfg, resolve=True), figures_of(job.run), job.run)
+    for said in rerun.verdict(job.run, Path(job.cfg.rerun)) if job.cfg.rerun else ():
+        log.info("%s", said)
+
+
+def _objective(job: Job) -> float | None:
+    """The figure that a sweeper such as optuna makes small: experiment.objective, a path in metrics.json."""
+    if job.cfg.experiment.objective is None:
+        return None
+    return float(figures_of(job.run)[job.cfg.experiment.objective])
 
 
 def _report(error: Exception) -> int:
-    print(f"error: {_one_line(error)}", file=sys.stderr)
+    print(f"error: {explained(error)}", file=sys.stderr)
     return 2
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split()) or type(error).__name__
 
 
 def capture_folder(cfg: DictConfig) -> Path:

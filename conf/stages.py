@@ -123,12 +123,18 @@ def adopt(stage: Stage, job: Job, wanted: Callable[[str, Record], bool]) -> Reco
         if path.parent == job.run or record is None or status.get("capture") != str(job.capture):
             continue
         if wanted(status["state"], record):
-            for output in stage.outputs:
-                _copy(path.parent / output, job.run / output)
-            (job.run / ".stages").mkdir(parents=True, exist_ok=True)
-            _copy(path.parent / ".stages" / f"{stage.name}.json", job.run / ".stages" / f"{stage.name}.json")
-            return record
+            return take(stage, path.parent, job)
     return None
+
+
+def take(stage: Stage, folder: Path, job: Job) -> Record | None:
+    """Copy what a stage made in the run ``folder`` into the job's own; None where it was not done there."""
+    record = find(stage, folder)
+    if record is not None:
+        (job.run / ".stages").mkdir(parents=True, exist_ok=True)
+        for output in (*stage.outputs, f".stages/{stage.name}.json"):
+            _copy(folder / output, job.run / output)
+    return record
 
 
 def stage_hash(stage: Stage, job: Job, needed: dict[str, Record]) -> str:

@@ -1,0 +1,143 @@
+"""What is shown of a sweep: table.md, results.csv, plots, and report.html with what each job made side by side."""
+
+import base64
+import csv
+import html
+import os
+from pathlib import Path
+
+import numpy as np
+
+from conf.report import STYLE
+from conf.results import JobResult, Results, cells, comparisons, interval, markdown
+from scene.files import replacing
+
+SORTS = """
+document.querySelectorAll('th button').forEach((button) => button.addEventListener('click', () => {
+  const th = button.parentElement, body = th.closest('table').tBodies[0], i = th.cellIndex;
+  const up = th.getAttribute('aria-sort') !== 'ascending';
+  th.parentElement.querySelectorAll('th').forEach((other) => other.removeAttribute('aria-sort'));
+  th.setAttribute('aria-sort', up ? 'ascending' : 'descending');
+  const value = (row) => { const text = row.cells[i].textContent, n = parseFloat(text); return isNaN(n) ? text : n };
+  [...body.rows].sort((a, b) => (value(a) < value(b) ? -1 : value(a) > value(b) ? 1 : 0) * (up ? 1 : -1)).forEach((row) => body.append(row));
+}));
+"""
+LOOK = """
+body { max-width: 96rem } th button { all: unset; cursor: pointer; font-weight: 600 } th button:focus-visible { outline: 2px solid }
+th[aria-sort=ascending] button::after { content: ' \\25B2' } th[aria-sort=descending] button::after { content: ' \\25BC' }
+ul.jobs { list-style: none; padding: 0; display: grid; grid-template-columns: repeat(auto-fill, minmax(20rem, 1fr)); gap: 1.5rem }
+ul.jobs li { border-top: 1px solid var(--line); padding-top: .4rem } .failed { color: var(--bad) }
+div.wide { overflow-x: auto }
+"""
+
+
+def write(results: Results, folder: Path) -> Path:
+    """Write results.csv, table.md, plots/*.png and report.html into ``folder``; returns the page's path."""
+    rows = [_line(results, job) for job in results.jobs]
+    with replacing(folder / "results.csv") as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, list(dict.fromkeys(key for row in rows for key in row)))
+        writer.writeheader()
+        writer.writerows(rows)
+    with replacing(folder / "table.md") as temporary:
+        temporary.write_text(markdown(results), encoding="utf-8")
+    with replacing(folder / "report.html") as temporary:
+        temporary.write_text(_page(results, folder), encoding="utf-8")
+    return folder / "report.html"
+
+
+def _page(results: Results, folder: Path) -> str:
+    parts = [
+        f'<!doctype html><html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
+        f"<title>{html.escape(folder.parent.name)}</title><style>{STYLE}{LOOK}</style></head><body><h1>{html.escape(folder.parent.name)}</h1>",
+        "<ul>" + "".join(f"<li>{html.escape(note)}" for note in results.notes) + "</ul>",
+    ]
+    if results.rows:
+        parts += [_table(results), "<h2>Compared in pairs</h2><ul>"]
+        parts += [f"<li>{html.escape(said)}" for said in comparisons(results)] + ["</ul>"]
+        for path in plots(results, folder / "plots"):
+            parts.append(f'<figure><img alt="{html.escape(path.stem)}" src="data:image/png;base64,{base64.b64encode(path.read_bytes()).decode()}"></figure>')
+    parts += ["<h2>Jobs</h2><ul class=jobs>", *[_job(results, job, folder) for job in results.jobs], f"</ul><script>{SORTS}</script></body></html>"]
+    return "\n".join(parts)
+
+
+def plots(results: Results, folder: Path) -> list[Path]:
+    """One picture for each column: a curve with its 95 % band over a setting of numbers, else every job and the mean."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    folder.mkdir(exist_ok=True)
+    paths = []
+    for column, name in enumerate(results.columns):
+        figure, axes = plt.subplots(figsize=(8, max(2.4, 1 + 0.34 * len(results.rows))), layout="constrained")
+        number = _number(results)
+        _curves(axes, results, column, number) if number else _dots(axes, results, column)
+        axes.set(**{("ylabel" if number else "xlabel"): name})
+        axes.grid(alpha=0.3)
+        paths.append(folder / f"{results.columns[name][0]}.png")
+        figure.savefig(paths[-1], dpi=110)
+        plt.close(figure)
+    return paths
+
+
+def _number(results: Results) -> str | None:
+    """The one setting whose values are all numbers, at least three of them."""
+    keys = [key for key in results.rows[0].settings if len({row.settings[key] for row in results.rows}) > 2]
+    numbers = [key for key in keys if all(_is_number(row.settings[key]) for row in results.rows)]
+    return numbers[0] if len(numbers) == 1 else None
+
+
+def _curves(axes, results: Results, column: int, key: str) -> None:
+    groups: dict[tuple, list] = {}
+    for row in results.rows:
+        groups.setdefault(tuple(v for k, v in row.settings.items() if k != key), []).append(row)
+    for label, rows in groups.items():
+        rows = sorted(rows, key=lambda row: float(row.settings[key]))
+        x = [float(row.settings[key]) for row in rows]
+        mean, _, _, low, high = np.array([interval(row.values[:, column]) for row in rows]).T
+        axes.plot(x, mean, marker="o", label=", ".join(label))
+        axes.fill_between(x, low, high, alpha=0.2)
+    axes.set_xlabel(key)
+    if len(groups) > 1:
+        axes.legend()
+
+
+def _dots(axes, results: Results, column: int) -> None:
+    for i, row in enumerate(results.rows):
+        values = row.values[:, column]
+        mean, _, n, low, high = interval(values)
+        axes.plot(values, np.full(len(values), i), ".", color="0.6")
+        axes.errorbar(mean, i, xerr=[[mean - low], [high - mean]] if n > 1 else None, fmt="o", color="C0", capsize=3)
+    axes.set_yticks(range(len(results.rows)), [", ".join(row.settings.values()) for row in results.rows])
+    axes.invert_yaxis()
+
+
+def _table(results: Results) -> str:
+    head, body = cells(results)
+    titles = "".join(f"<th><button>{html.escape(title)}</button>" for title in head)
+    lines = "".join("<tr>" + "".join(f"<td>{html.escape(cell)}" for cell in line) for line in body)
+    return f"<div class=wide><table><thead><tr>{titles}</thead><tbody>{lines}</tbody></table></div>"
+
+
+def _job(results: Results, job: JobResult, folder: Path) -> str:
+    said = html.escape(", ".join(f"{key}={job.settings[key]}" for key in results.varied if key in job.settings) or job.folder.name)
+    where = html.escape(os.path.relpath(job.folder, folder))
+    picture = job.folder / "figures" / "overview.png"
+    shown = f'<img loading=lazy alt="{said}" src="{where}/figures/overview.png">' if picture.exists() else ""
+    link = f'<a href="{where}/report.html">{said}</a>' if (job.folder / "report.html").exists() else said
+    failed = "" if job.state == "finished" else f"<p class=failed>{html.escape(job.state)}: {html.escape(job.error)}"
+    return f"<li>{shown}<p>{link}</p>{failed}"
+
+
+def _line(results: Results, job: JobResult) -> dict:
+    settings = {key: job.settings.get(key, "") for key in results.varied}
+    return {"job": f"{job.folder.parent.name}/{job.folder.name}", "state": job.state, "error": "" if job.state == "finished" else job.error} | settings | job.figures
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True

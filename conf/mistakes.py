@@ -1,0 +1,48 @@
+"""What to tell a person about an error: one line, with the names that were perhaps meant."""
+
+import re
+from difflib import get_close_matches
+
+from hydra import compose, initialize_config_module
+from hydra.core.global_hydra import GlobalHydra
+from hydra.errors import HydraException, InstantiationException, MissingConfigException
+from omegaconf import OmegaConf
+
+PLUGINS = {"joblib": "joblib", "submitit": "slurm", "optuna": "optuna", "ray": "ray"}
+"""What to install for a launcher or sweeper: part of its module's name -> extra of pyproject.toml."""
+UNKNOWN_KEY = re.compile(r"Could not override '([^']+)'")
+
+
+def explained(error: Exception) -> str:
+    """The error's own words on one line; of a name that does not exist, the nearest ones."""
+    if isinstance(error, InstantiationException) and isinstance(error.__cause__, ValueError):
+        return explained(error.__cause__)
+    plugin = next((extra for name, extra in PLUGINS.items() if f"hydra_plugins.hydra_{name}" in str(error)), None)
+    if isinstance(error, InstantiationException) and plugin:
+        return f"this launcher is an extra: pip install 'scene2skill[{plugin}]'"
+    words = " ".join(str(error).split()) or type(error).__name__
+    if isinstance(error, MissingConfigException) and error.options:
+        group, _, name = (error.missing_cfg_file or "").rpartition("/")
+        return f"there is no {group}={name}{_nearest(name, error.options)}; there are {', '.join(error.options)}"
+    unknown = UNKNOWN_KEY.search(words) if isinstance(error, HydraException) else None
+    if unknown:
+        return f"there is no setting {unknown[1]}{_nearest(unknown[1], _keys())}; --cfg job shows all of them"
+    return words
+
+
+def _nearest(name: str, names: list[str]) -> str:
+    near = get_close_matches(name, names, n=3, cutoff=0.6)
+    return f": did you mean {' or '.join(near)}?" if near else ""
+
+
+def _keys() -> list[str]:
+    """The path of every setting."""
+    GlobalHydra.instance().clear()
+    with initialize_config_module("conf", version_base="1.3"):
+        cfg = OmegaConf.to_container(compose("config"), resolve=False)
+
+    def paths(node: dict, above: str = "") -> list[str]:
+        below = [f"{above}{key}" for key in node]
+        return below + [path for key, value in node.items() if isinstance(value, dict) for path in paths(value, f"{above}{key}.")]
+
+    return paths(cfg)

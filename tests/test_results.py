@@ -1,0 +1,110 @@
+"""Rows, intervals and paired tests of a sweep against their definitions; what is wrong with a folder is said."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import stats
+
+from conf import gallery, table
+from conf.results import JobResult, Results, Row, collect, interval, markdown, paired
+
+SPEC = {"over": ["seed"], "columns": {"MFD": ["teach.mfd", 100], "success": ["execute.success", 1]}, "rows": {}, "objective": None}
+
+
+def job(folder, number, overrides, metrics, *, state="finished", sketches=None, git="abc", spec=SPEC):
+    """A job's folder as the pipeline leaves it."""
+    place = folder / str(number)
+    (place / ".hydra").mkdir(parents=True)
+    (place / ".hydra" / "overrides.yaml").write_text(yaml.safe_dump(overrides))
+    (place / ".hydra" / "config.yaml").write_text(yaml.safe_dump({"experiment": spec}))
+    (place / "status.json").write_text(json.dumps({"state": state} | ({"error": "it broke"} if state == "failed" else {})))
+    (place / "provenance.json").write_text(json.dumps({"git": git}))
+    (place / "metrics.json").write_text(json.dumps(metrics))
+    if sketches is not None:
+        (place / "sketches.json").write_text(sketches)
+
+
+@given(st.lists(st.floats(-1e3, 1e3), min_size=2, max_size=30))
+def test_the_interval_is_students(values):
+    mean, std, n, low, high = interval(np.array([*values, np.nan]))
+    assert n == len(values) and mean == pytest.approx(np.mean(values), abs=1e-9) and std == pytest.approx(np.std(values, ddof=1), abs=1e-9)
+    if std > 1e-6:
+        expected = stats.t.interval(0.95, n - 1, loc=np.mean(values), scale=stats.sem(values))
+        np.testing.assert_allclose((low, high), expected, rtol=1e-6, atol=1e-6)
+
+
+def test_one_value_has_no_interval():
+    mean, std, n, *_ = interval(np.array([3.0]))
+    assert (mean, n) == (3.0, 1) and np.isnan(std)
+
+
+def test_pairs_are_of_the_same_sketches_only():
+    a = Row({"m": "a"}, np.arange(7.0)[:, None], tuple("pqrstuv"))
+    b = Row({"m": "b"}, np.array([1.0, 3, 2.5, 5, 7, 9, 0])[:, None], tuple("qrstuvw"))
+    n, difference, p = paired(b, a, 0)
+    differences = np.array([1.0, 3, 2.5, 5, 7, 9]) - np.arange(1.0, 7)
+    assert (n, difference) == (6, pytest.approx(differences.mean())) and p == pytest.approx(stats.wilcoxon(differences).pvalue)
+    assert paired(a, Row({}, np.zeros((7, 1)), (None,) * 7), 0) is None
+
+
+def test_rows_are_configurations_and_seeds_repeat_them(tmp_path):
+    for i in range(6):
+        job(tmp_path, i, [f"seed={i % 3}", f"+experiment/ablation={i // 3}", "data=x"], {"teach": {"mfd": 0.01 * (i + 1)}}, sketches=str(i % 3))
+    results = collect([tmp_path])
+    assert [row.settings for row in results.rows] == [{"experiment/ablation": "0"}, {"experiment/ablation": "1"}]
+    np.testing.assert_allclose(results.rows[1].values[:, 0], [4, 5, 6])
+    assert list(results.columns) == ["MFD"]  # no job performed anything
+    assert "| 0 | 3 | 2 ± 1 | -0.484 to 4.48 |" in markdown(results)
+
+
+def test_methods_that_a_job_measures_beside_its_own_are_rows(tmp_path):
+    spec = SPEC | {"rows": {"learned": "", "oracle": "oracle_"}}
+    for i in range(2):
+        job(tmp_path, i, [f"seed={i}"], {"teach": {"mfd": 0.03, "oracle_mfd": 0.02}}, spec=spec)
+    assert [(row.settings["method"], row.values.mean()) for row in collect([tmp_path]).rows] == [("learned", 3), ("oracle", 2)]
+
+
+def test_what_is_missing_or_mixed_is_said(tmp_path):
+    job(tmp_path, 0, ["seed=0"], {"teach": {"mfd": 0.01}})
+    job(tmp_path, 1, ["seed=1"], {}, state="failed")
+    job(tmp_path, 2, ["seed=2"], {"teach": {"mfd": 0.01}}, state="running")
+    job(tmp_path, 3, ["seed=3"], {"teach": {"mfd": float("nan")}, "execute": {"success": True}}, git="def")
+    said = markdown(collect([tmp_path]))
+    assert "2 of 4 jobs finished" in said and "1 (seed=1): failed, it broke" in said and "2 (seed=2): did not come to its end" in said
+    assert "2 versions of the code" in said and "MFD: 1 jobs have no figure" in said and "success: 1 jobs" in said
+
+
+def test_several_sweeps_make_one_table(tmp_path):
+    job(tmp_path / "a", 0, ["teach/rptl=default"], {"teach": {"mfd": 0.01}})
+    job(tmp_path / "b", 0, ["teach/rptl=paper"], {"teach": {"mfd": 0.02}})
+    assert [row.settings["teach/rptl"] for row in collect([tmp_path / "a", tmp_path / "b"]).rows] == ["default", "paper"]
+
+
+def test_the_command_writes_every_file_and_the_csv_holds_every_figure(tmp_path, capsys):
+    for i in range(9):
+        job(tmp_path, i, [f"seed={i % 3}", f"teach.noise={i // 3}"], {"teach": {"mfd": 0.01 * i}, "execute": {"success": i > 2}})
+    assert table.main([str(tmp_path)]) == 0
+    with (tmp_path / "results.csv").open(encoding="utf-8") as file:
+        lines = list(csv.DictReader(file))
+    assert len(lines) == 9 and float(lines[4]["teach.mfd"]) == 0.04 and lines[4]["teach.noise"] == "1"
+    assert {path.name for path in (tmp_path / "plots").iterdir()} == {"teach.mfd.png", "execute.success.png"}
+    assert "data:image/png" in (tmp_path / "report.html").read_text() and "teach.noise" in capsys.readouterr().out
+
+
+def test_an_empty_or_foreign_folder_is_refused(tmp_path, capsys):
+    assert table.main([str(tmp_path)]) == 2 and "no job of a sweep" in capsys.readouterr().err
+    assert table.main([str(tmp_path / "absent")]) == 2 and "there is no folder" in capsys.readouterr().err
+    (tmp_path / "0").mkdir()
+    (tmp_path / "0" / "status.json").write_text("not json")
+    assert table.main([str(tmp_path)]) == 2 and "status.json" in capsys.readouterr().err
+
+
+def test_names_from_outside_are_escaped_in_the_page(tmp_path):
+    named = JobResult(tmp_path / "0", "failed", "<script>alert(1)</script>", {"seed": "<b>"}, {}, None, None)
+    page = gallery.write(Results((named,), ("seed",), {}, {}), tmp_path).read_text()
+    assert "<script>alert" not in page and "&lt;script&gt;" in page

@@ -1,0 +1,162 @@
+"""A sweep goes on where it was stopped, names what failed, ends with its table; a job can be repeated and compared.
+
+The jobs are real jobs of Hydra with a short task of the test's own in place of the whole job.
+"""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+TASK = """
+import json, os, signal, sys, time
+from pathlib import Path
+from conf.run import launch
+from conf.stages import write_json
+
+def task(job):
+    seed = job.cfg.seed
+    with open("began.txt", "a") as file:
+        file.write(f"{seed}\\n")
+    if Path(f"kill{seed}").exists():
+        os.kill(os.getpid(), signal.SIGKILL)
+    if Path(f"fail{seed}").exists():
+        raise ValueError("the strokes of\\nseed are wrong")
+    if Path(f"wait{seed}").exists():
+        time.sleep(60)
+    count = job.cfg.teach.basis.count
+    noise = time.time() if Path("noisy").exists() else 0
+    write_json(job.run / "metrics.json", {"teach": {"mfd": 0.02 + seed / 1000 + count / 10000 + noise, "oracle_mfd": 0.01, "seconds": time.time()}})
+    write_json(job.run / "sketches.json", {"seed": seed})
+
+sys.exit(launch(task))
+"""
+
+
+@pytest.fixture
+def launch(tmp_path):
+    (tmp_path / "job.py").write_text(TASK)
+    environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[1])}
+
+    def run(*arguments):
+        return subprocess.run([sys.executable, "job.py", *arguments], capture_output=True, text=True, cwd=tmp_path, env=environment)
+
+    return run
+
+
+def sweeps(folder):
+    return sorted(path.parent for path in folder.glob("runs/default/*/sweep.json"))
+
+
+def began(folder):
+    return (folder / "began.txt").read_text().split()
+
+
+def test_a_finished_sweep_has_its_table(launch, tmp_path):
+    result = launch("-m", "seed=0,1,2,3,4", "teach.basis.count=10,20")
+    assert result.returncode == 0, result.stderr
+    (sweep,) = sweeps(tmp_path)
+    table = (sweep / "table.md").read_text()
+    assert "| 10 | 5 | 2.3 ± 0.16 |" in table and "10 of 10 jobs finished" in table
+    assert "teach.basis.count=20 minus teach.basis.count=10: +0.1 over 5 pairs" in table
+    assert len((sweep / "results.csv").read_text().splitlines()) == 11
+    assert "<button>teach.basis.count" in (sweep / "report.html").read_text()
+    assert not list(tmp_path.rglob(".*.tmp"))
+
+
+def test_a_killed_sweep_goes_on_with_what_is_missing(launch, tmp_path):
+    (tmp_path / "kill2").touch()
+    assert launch("-m", "seed=0,1,2,3").returncode == -signal.SIGKILL
+    assert began(tmp_path) == ["0", "1", "2"]
+    (tmp_path / "kill2").unlink()
+    result = launch("-m", "seed=0,1,2,3")
+    assert result.returncode == 0 and "going on with" in result.stdout
+    assert began(tmp_path) == ["0", "1", "2", "2", "3"]
+    (sweep,) = sweeps(tmp_path)
+    assert "4 of 4 jobs finished" in (sweep / "table.md").read_text()
+
+
+def test_a_failed_job_lets_the_others_go_on_and_is_named(launch, tmp_path):
+    (tmp_path / "fail1").touch()
+    result = launch("-m", "seed=0,1,2")
+    assert result.returncode == 2 and "Traceback" not in result.stderr + result.stdout
+    (sweep,) = sweeps(tmp_path)
+    status = json.loads((sweep / "1" / "status.json").read_text())
+    assert status["state"] == "failed" and status["error"] == "the strokes of seed are wrong" and "Traceback" in status["traceback"]
+    assert "Missing: 1 (seed=1): failed, the strokes of seed are wrong" in (sweep / "table.md").read_text()
+    (tmp_path / "fail1").unlink()
+    assert launch("-m", "seed=0,1,2").returncode == 0
+    assert began(tmp_path) == ["0", "1", "2", "1"]
+    launch("-m", "seed=0,1,2")
+    assert began(tmp_path)[4:] == ["0", "1", "2"]  # a finished sweep begins anew
+
+
+def test_other_settings_or_another_folder_are_another_sweep(launch, tmp_path):
+    (tmp_path / "fail1").touch()
+    launch("-m", "seed=0,1")
+    launch("-m", "seed=0,1", "teach.basis.count=10")
+    assert len(sweeps(tmp_path)) == 2 and began(tmp_path) == ["0", "1", "0", "1"]
+    launch("-m", "seed=0,1", "hydra.sweep.dir=runs/mine")
+    assert (tmp_path / "runs" / "mine" / "table.md").exists()
+
+
+def test_two_of_the_same_command_do_not_share_a_folder(launch, tmp_path):
+    (tmp_path / "wait1").touch()
+    environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[1])}
+    first = subprocess.Popen([sys.executable, "job.py", "-m", "seed=0,1"], cwd=tmp_path, env=environment, stdout=subprocess.DEVNULL)
+    while not (tmp_path / "began.txt").exists() or began(tmp_path) != ["0", "1"]:
+        assert first.poll() is None
+    (tmp_path / "wait1").unlink()
+    (sweep,) = sweeps(tmp_path)
+    taken = launch("-m", "seed=0,1", f"hydra.sweep.dir={sweep}")
+    assert taken.returncode == 2 and "a sweep runs in" in taken.stderr
+    assert launch("-m", "seed=0,1").returncode == 0
+    first.send_signal(signal.SIGINT)
+    assert first.wait() == 130 and len(sweeps(tmp_path)) == 2
+    assert json.loads((sweep / "sweep.json").read_text())["state"] == "stopped"
+
+
+def test_joblib_runs_the_same_jobs_with_the_same_results(launch, tmp_path):
+    pytest.importorskip("hydra_plugins.hydra_joblib_launcher")
+    (tmp_path / "kill2").touch()
+    killed = launch("-m", "seed=0,1,2", "hydra/launcher=joblib", "hydra.launcher.n_jobs=2")
+    assert killed.returncode == 2 and "killed" in killed.stderr and "Traceback" not in killed.stderr, killed.stderr
+    (tmp_path / "kill2").unlink()
+    assert launch("-m", "seed=0,1,2", "hydra/launcher=joblib", "hydra.launcher.n_jobs=2").returncode == 0
+    assert launch("-m", "seed=0,1,2").returncode == 0
+    parallel, serial = sweeps(tmp_path)
+    assert (parallel / "table.md").read_text() == (serial / "table.md").read_text()
+
+
+def test_a_job_that_is_repeated_agrees_or_says_what_differs(launch, tmp_path):
+    launch("seed=3")
+    (job,) = (path.parent for path in tmp_path.glob("runs/default/*/0/status.json"))
+    assert f"agrees with {job}: all 2 figures are equal" in launch(f"rerun={job}").stdout
+    (tmp_path / "noisy").touch()
+    assert "1 of 2 figures differ" in launch(f"rerun={job}").stdout
+    assert launch(f"rerun={job}", "seed=1").returncode == 2
+    assert "no job lies in" in launch("rerun=nowhere").stderr
+
+
+def test_figures_go_to_tensorboard(launch, tmp_path):
+    pytest.importorskip("tensorboard")
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    assert launch("seed=3", "tracking=tensorboard").returncode == 0
+    (folder,) = tmp_path.glob("runs/default/*/0/tensorboard")
+    events = EventAccumulator(str(folder))
+    events.Reload()
+    assert events.Scalars("teach.mfd")[0].value == pytest.approx(0.025)
+
+
+def test_a_tracker_that_is_not_installed_is_said_before_the_job(launch, tmp_path):
+    from importlib.util import find_spec
+
+    if find_spec("mlflow"):
+        pytest.skip("mlflow is installed")
+    result = launch("tracking=mlflow")
+    assert result.returncode == 2 and "pip install 'scene2skill[mlflow]'" in result.stderr and not (tmp_path / "began.txt").exists()
