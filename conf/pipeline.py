@@ -26,8 +26,7 @@ from scene.inputs import recognise
 
 log = logging.getLogger("scene2skill")
 
-SKETCHED = ("view1", "view2")
-HELD_OUT = "view3"
+DRAWN_ON = ("view1", "view2", "view3")
 
 
 def capture(job: Job, out: Path) -> dict:
@@ -139,7 +138,10 @@ def sketch(job: Job, out: Path) -> dict:
     else:
         from conf.seen import draw
 
-        drawn, paths = draw(job, [*SKETCHED, HELD_OUT])
+        judge = job.cfg.user.held_out
+        if judge not in DRAWN_ON:
+            raise ValueError(f"user.held_out={judge}: the views to sketch on are {', '.join(DRAWN_ON)}")
+        drawn, paths = draw(job, [*(name for name in DRAWN_ON if name != judge), judge])
         sketches, held_out, intended = drawn[:-1], drawn[-1:], {"training": paths[:-1], "held_out": paths[-1]}
     sketch_files.check(sketches, surfaces=_depths(job, sketches))
     sketch_files.save(out / "sketches.json", sketches)
@@ -278,9 +280,11 @@ def _do(stage: Stage, job: Job, records: dict[str, Record]) -> None:
 
 
 def _take_over(stage: Stage, job: Job, records: dict[str, Record]) -> None:
-    """A stage that is not to be done: its files are those of the newest run that has them."""
+    """A stage that is not to be done: its files are those of the job that is repeated, or of the newest run that has them."""
     found = stages.find(stage, stage.folder(job))
-    if found is None and not stage.shared:
+    if found is None and not stage.shared and job.cfg.rerun:
+        found = stages.take(stage, Path(job.cfg.rerun), job)
+    elif found is None and not stage.shared:
         found = stages.adopt(stage, job, lambda state, record: True)
     if found is not None:
         records[stage.name] = found
