@@ -2,7 +2,7 @@
 
 Notation
     x(u)    (POINTS, 3) [m] at even arc length u in [0, 1]
-    Phi     (POINTS, MODES): the main modes of curves of unit size whose bends belong together over LENGTH
+    Phi     (POINTS, MODES): the a constant, a slope and the main modes of unit bends that belong together over LENGTH
     z       where a stroke is at even arc length [px]; d: how far along the ray through it the motion is [m]
 """
 
@@ -15,7 +15,7 @@ from scene.camera import Camera
 POINTS = 24
 """Points of a motion."""
 MODES = 8
-"""What is left of a smooth curve beyond these modes is below a hundredth of its extent."""
+"""A constant, a slope and the main modes of bends; what is left of a smooth curve beyond them is below a hundredth of it."""
 LENGTH = 0.25
 """How far along a motion its bends belong together, of its length."""
 TRIES = 60
@@ -26,7 +26,8 @@ def smooth_modes() -> np.ndarray:
     """Phi (POINTS, MODES)."""
     u = np.linspace(0, 1, POINTS)
     values, vectors = np.linalg.eigh(np.exp(-((u[:, None] - u) ** 2) / (2 * LENGTH**2)))
-    return vectors[:, -MODES:] * np.sqrt(values[-MODES:])
+    bends = (vectors * np.sqrt(values.clip(0)))[:, 2 - MODES :]
+    return np.column_stack([np.ones(POINTS), 2 * u - 1, bends])
 
 
 def even(curve) -> np.ndarray:
