@@ -115,10 +115,17 @@ def render(job: Job, out: Path) -> dict:
     from scene.dataset import load_frame, load_views, save_views
     from scene.field import Field
     from scene.views import render
+    from teach import sketch as sketch_files
 
     field = Field.load(job.capture / "field.pt")
     photographed = [view.camera for view in load_views(job.capture)]
-    chosen = _setting(job, "scene.views")(photographed, None if job.cfg.photos else job.settings("world.sketch_views"))
+    eyes, space = (None, None) if job.cfg.photos else map(job.settings, ("world.sketch_views", "world.workspace"))
+    known = {"field": field, "workspace": space and (space["lower"], space["upper"])}
+    if before := _drawn_before(job):
+        known["sketch"] = sketch_files.load(before)
+    chosen = _setting(job, "scene.views")(photographed, eyes, **known)
+    for sentence in chosen.why:
+        log.info("  %s", sentence)
     views = render(field, chosen.sketch, out / "views", partial(_progress, title="views"))
     save_views(out / "views", views, images=".", frame=load_frame(job.capture))
     frames = render(field, chosen.orbit, out / "views" / "orbit", partial(_progress, title="orbit"), depth=False)
@@ -134,7 +141,7 @@ def sketch(job: Job, out: Path) -> dict:
     from teach import sketch as sketch_files
 
     if job.cfg.user.kind == "files":
-        sketches = sketch_files.load(_stored_sketches(job))
+        sketches = sketch_files.load(_stored_sketches(job, job.cfg.user.file))
         held_out, intended = [], {}
     else:
         from conf.seen import draw
@@ -234,7 +241,9 @@ STAGES = (
     Stage("reconstruct", reconstruct, ("images", "colmap", "sparse.ply", "transforms.json"),
           settings=("scene.colmap", "scene.frame", *SCENE), inputs=lambda job: _fingerprint(job), shared=True),
     Stage("train", train, ("field.pt", "held_out"), ("reconstruct",), ("scene.fit", *SCENE), shared=True, resumable=True),
-    Stage("render", render, ("views",), ("train",), ("scene.views", "world.sketch_views"), shared=True, resumable=True),
+    Stage("render", render, ("views",), ("train",), ("scene.views", "world.sketch_views", "world.workspace"),
+          inputs=lambda job: hashlib.sha256(file.read_bytes()).hexdigest() if (file := _drawn_before(job)) else None,
+          shared=True, resumable=True),
     Stage("sketch", sketch, ("sketches.json", "held_out.json", "intended.npz"), ("render",), ("user", "world", "seed")),
     Stage("fit", fit, ("skill.npz", "densities.npz"), ("sketch",), ("teach", "seed")),
     Stage("plan", plan, ("plan.npz", "trajectory.csv", "joint_trajectory.json"), ("fit",),
@@ -348,10 +357,16 @@ def _fingerprint(job: Job) -> dict[str, str]:
     return went_in | ({"scene.video": str(job.settings("scene.video"))} if source and source.kind == "video" else {})
 
 
-def _stored_sketches(job: Job) -> Path:
-    """user.file: a name in the capture's sketches folder, or a path."""
-    named = job.capture / "sketches" / f"{job.cfg.user.file}.json"
-    return named if named.exists() else Path(job.cfg.user.file)
+def _stored_sketches(job: Job, name: str) -> Path:
+    """A name in the capture's sketches folder, or a path."""
+    named = job.capture / "sketches" / f"{Path(name).stem}.json"
+    return Path(name) if Path(name).exists() or not named.exists() else named
+
+
+def _drawn_before(job: Job) -> Path | None:
+    """scene.views.sketch: what was drawn before the next view is chosen."""
+    name = job.settings("scene.views.sketch")
+    return _stored_sketches(job, name) if name else None
 
 
 def _depths(job: Job, sketches) -> dict:

@@ -5,11 +5,12 @@ Notation
     T(o, x)     transmittance: how much light gets from x to o, by the field
 
 A field is sharp where photographs were taken and guesses elsewhere, so a new view stands at the distance of the
-photographs around it, seen from c, and no wider angle from the nearest of them than ``farthest_deg``. A view that shows
+photographs around it, seen from c, and no wider angle from the nearest of them than `Limits` say. A view that shows
 little of what photographs see of the motions' places, since something stands before them, is refused.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -20,6 +21,18 @@ CLEAR = 0.5
 WITNESSES = 3
 """Where so many photographs see a point, it lies in the open: the others lie inside of something."""
 GOLDEN = np.pi * (3 - np.sqrt(5))
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What a view must keep to: spacing_deg: between viewpoints that are tried; farthest_deg: from the nearest photograph,
+    both seen from c. widest_fov_deg: a view is as wide as it must be, up to this. least_seen: share of the
+    motions' places in the open that must be seen."""
+
+    spacing_deg: float = 12.0
+    farthest_deg: float = 12.0
+    widest_fov_deg: float = 80.0
+    least_seen: float = 0.7
 
 
 def common_box(photographed: Sequence[Camera], lower, upper, least: float = 0.9, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
@@ -49,25 +62,20 @@ def candidates(
     *,
     width: int = 640,
     height: int = 480,
-    spacing_deg: float = 12.0,
-    farthest_deg: float = 12.0,
-    widest_fov_deg: float = 80.0,
-    least_seen: float = 0.7,
+    limits: Limits = Limits(),
 ) -> list[Camera]:
     """Cameras from which the motions (n, N, 3) [m] can be sketched, seen well and whole.
 
-    With a ``field``, new viewpoints ``spacing_deg`` apart, at most ``farthest_deg`` from the nearest photograph; without
-    one, the photographs' own. widest_fov_deg: a view is as wide as it must be, up to this. least_seen: share of the
-    motions' places in the open that must be seen. ValueError if fewer than two are left.
+    With a ``field``, new viewpoints; without one, the photographs' own. ValueError if fewer than two are left.
     """
     points = np.asarray(motions, dtype=float).reshape(-1, 3)
     if field is None:
         cameras = [camera.cropped(width, height) for camera in photographed]
     else:
-        poses = around(photographed, points.mean(axis=0), spacing_deg, farthest_deg)
-        cameras = [holding(pose, points, width, height, widest_fov_deg) for pose in poses]
+        poses = around(photographed, points.mean(axis=0), limits.spacing_deg, limits.farthest_deg)
+        cameras = [holding(pose, points, width, height, limits.widest_fov_deg) for pose in poses]
     whole = [camera for camera in cameras if camera.contains(camera.project(points)).mean() > 0.95]
-    clear = shares_seen(field, whole, points, photographed) >= least_seen if field is not None else np.ones(len(whole), bool)
+    clear = shares_seen(field, whole, points, photographed) >= limits.least_seen if field is not None else np.ones(len(whole), bool)
     found = [camera for camera, ok in zip(whole, clear, strict=True) if ok]
     if len(found) < 2:
         raise ValueError(

@@ -23,8 +23,9 @@ from itertools import combinations
 
 import numpy as np
 
+from scene import coverage, paths
 from scene.camera import Camera
-from scene.motions import MODES, POINTS, smooth_modes
+from scene.motions import MODES, POINTS, left_open, motions_in, smooth_modes
 
 @dataclass(frozen=True)
 class Hand:
@@ -111,6 +112,42 @@ def _extent(curves) -> np.ndarray:
 def _length(curves) -> np.ndarray:
     """(n, 1) length of curves (n, N, D)."""
     return np.linalg.norm(np.diff(curves, axis=1), axis=2).sum(axis=1)[:, None]
+
+
+def suggest(
+    photographed: Sequence[Camera],
+    drawn: Sequence[Camera] = (),
+    strokes: Sequence[np.ndarray] = (),
+    *,
+    field=None,
+    workspace=None,
+    width: int = 640,
+    height: int = 480,
+    count: int = 24,
+    seed: int = 0,
+    hand: Hand = Hand(),
+    limits: coverage.Limits = coverage.Limits(),
+) -> Proposal:
+    """The pair of views to sketch a motion on, or the next one after those ``drawn`` on.
+
+    strokes: of each drawn view one stroke (N, 2) [px], or none where nothing is known of the motion. field: what
+    is looked at (``transmittance``); None: photographs are chosen among. workspace: lower and upper corner (3,) [m] within which
+    motions are meant; None: about what the photographs look at. count: motions looked at. limits: of the
+    views. ValueError where photographs cover no two views of the workspace.
+    """
+    if len(strokes) not in (0, len(drawn)):
+        raise ValueError(f"there are {len(drawn)} views and strokes of {len(strokes)}: give one stroke for each view, or none")
+    box = coverage.common_box(photographed, *(_looked_at(photographed) if workspace is None else workspace))
+    motions = left_open(drawn, strokes, *box, count, seed) if len(strokes) else motions_in(*box, count, seed)
+    views = coverage.candidates(photographed, motions, field, width=width, height=height, limits=limits)
+    return propose_next(views, drawn, motions, hand) if len(drawn) else propose_pair(views, motions, hand)
+
+
+def _looked_at(photographed) -> tuple[np.ndarray, np.ndarray]:
+    """Corners of a cube about the photographs' focus, a third of their distance to each side."""
+    middle = paths.focus(photographed)
+    reach = np.median([np.linalg.norm(camera.centre - middle) for camera in photographed]) / 3
+    return middle - reach, middle + reach
 
 
 def expected_error(cameras: Sequence[Camera], motions, hand: Hand = Hand()) -> float:

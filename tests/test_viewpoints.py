@@ -130,7 +130,7 @@ def test_a_view_on_which_the_workspace_is_hidden_is_refused(meant):
 
 def test_views_stay_where_photographs_were_taken(meant):
     photographed = [at(a, 40, radius) for a, radius in zip(range(0, 90, 10), np.linspace(1.8, 2.4, 9))]
-    found = coverage.candidates(photographed, meant, Empty(), farthest_deg=15)
+    found = coverage.candidates(photographed, meant, Empty(), limits=coverage.Limits(farthest_deg=15))
     direction = lambda camera: (camera.centre - meant.mean((0, 1))) / np.linalg.norm(camera.centre - meant.mean((0, 1)))
     for camera in found:
         assert max(direction(camera) @ direction(photo) for photo in photographed) > np.cos(np.radians(15.1))
