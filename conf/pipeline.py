@@ -111,6 +111,7 @@ def split(views) -> tuple[list, list]:
 
 def render(job: Job, out: Path) -> dict:
     """Views to sketch on, and an orbit to look around."""
+    from conf.rendering import workspace
     from robot.execution import save_video
     from scene.dataset import load_frame, load_views, save_views
     from scene.field import Field
@@ -119,11 +120,9 @@ def render(job: Job, out: Path) -> dict:
 
     field = Field.load(job.capture / "field.pt")
     photographed = [view.camera for view in load_views(job.capture)]
-    eyes, space = (None, None) if job.cfg.photos else map(job.settings, ("world.sketch_views", "world.workspace"))
-    known = {"field": field, "workspace": space and (space["lower"], space["upper"])}
-    if before := _drawn_before(job):
-        known["sketch"] = sketch_files.load(before)
-    chosen = _setting(job, "scene.views")(photographed, eyes, **known)
+    eyes = None if job.cfg.photos else job.settings("world.sketch_views")
+    known = {"sketch": sketch_files.load(before)} if (before := _drawn_before(job)) else {}
+    chosen = _setting(job, "scene.views")(photographed, eyes, field=field, workspace=workspace(job), **known)
     for sentence in chosen.why:
         log.info("  %s", sentence)
     views = render(field, chosen.sketch, out / "views", partial(_progress, title="views"))
@@ -359,12 +358,20 @@ def _fingerprint(job: Job) -> dict[str, str]:
 
 def _stored_sketches(job: Job, name: str) -> Path:
     """A name in the capture's sketches folder, or a path."""
-    named = job.capture / "sketches" / f"{Path(name).stem}.json"
-    return Path(name) if Path(name).exists() or not named.exists() else named
+    folder = job.capture / "sketches"
+    for path in (folder / f"{name}.json", folder / name, Path(name)):
+        if path.is_file():
+            return path
+    there = ", ".join(sorted(path.stem for path in folder.glob("*.json"))) or "none"
+    raise FileNotFoundError(f"there are no sketches {name!r}: give the path of a file, or a name in {folder} ({there})")
 
 
 def _drawn_before(job: Job) -> Path | None:
     """scene.views.sketch: what was drawn before the next view is chosen."""
+    from omegaconf import OmegaConf
+
+    if missing := OmegaConf.missing_keys(job.cfg.scene.views):
+        raise ValueError(f"these views need {missing.pop()}=...: a name in {job.capture / 'sketches'}, or a file")
     name = job.settings("scene.views.sketch")
     return _stored_sketches(job, name) if name else None
 

@@ -45,7 +45,7 @@ def common_box(photographed: Sequence[Camera], lower, upper, least: float = 0.9,
     if (held >= least).sum() < 8:
         raise ValueError(
             f"no part of the workspace {_corner(lower)} to {_corner(upper)} lies in {least:.0%} of the {len(photographed)} "
-            f"photographs (the best point is in {held.max():.0%}): photograph it, or give scene.views.workspace where they look"
+            f"photographs (the best point is in {held.max():.0%}): photograph it, or give scene.viewpoints.workspace where they look"
         )
     low, high = np.percentile(points[held >= least], [5, 95], axis=0)
     return low, high
@@ -80,7 +80,7 @@ def candidates(
     if len(found) < 2:
         raise ValueError(
             f"of {len(cameras)} views {len(whole)} hold the motions' places, and {len(found)} of these see them unhidden; two are "
-            "needed: take photographs around the workspace, or make scene.views.workspace smaller"
+            "needed: take photographs around the workspace, or make scene.viewpoints.workspace smaller"
         )
     return found
 

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import count
 from pathlib import Path
 
 import numpy as np
@@ -57,7 +58,7 @@ def suggested(suggest: Callable, sketch: Sequence) -> tuple[dict[str, Camera], t
     drawn = {one.view: one.camera for one in sketch}
     strokes = [one.motions[0].points for one in sketch]
     found = suggest(list(drawn.values()), strokes)
-    number = next(i for i in range(len(drawn) + 1, 2 * len(drawn) + 2) if f"view{i}" not in drawn)
+    number = next(i for i in count(len(drawn) + 1) if f"view{i}" not in drawn)
     return drawn | {f"view{number}": found.cameras[0]}, (found.why,)
 
 

@@ -150,3 +150,16 @@ def test_a_workspace_that_nobody_photographed_is_refused():
         coverage.common_box(away, *BOX)
     with pytest.raises(ValueError, match="views 0 hold the motions"):
         coverage.candidates(away, motions.motions_in(*BOX, count=4))
+
+
+def test_suggest_proposes_a_pair_then_the_view_that_a_sketch_asks_for(meant):
+    photographed = [at(a, e) for a in range(0, 360, 30) for e in (25, 50)]
+    pair = viewpoints.suggest(photographed, workspace=BOX, field=Empty())
+    stroke = pair.cameras[0].project(meant[0])
+    after = viewpoints.suggest(photographed, pair.cameras[:1], [stroke], workspace=BOX, field=Empty())
+    third = viewpoints.suggest(photographed, pair.cameras, workspace=BOX, field=Empty())
+    assert len(pair.cameras) == 2 and len(after.cameras) == len(third.cameras) == 1
+    assert third.error_mm < pair.error_mm
+    assert viewpoints.suggest(photographed).error_mm > 0  # photographs alone, around what they look at
+    with pytest.raises(ValueError, match="one stroke for each view"):
+        viewpoints.suggest(photographed, pair.cameras, [stroke])
