@@ -47,7 +47,7 @@ def workspace(job: Job) -> list | None:
 
 
 def suggester(job: Job) -> Callable:
-    """suggest(cameras drawn on so far, a stroke (N, 2) [px] of each) -> `scene.viewpoints.Proposal`, for the capture's scene.
+    """suggest(cameras drawn on so far, a stroke (N, 2) [px] of each) -> `scene.viewpoints.Proposal`, for this capture.
 
     Its field says what can be seen; without one the photographs themselves are chosen among.
     """
@@ -57,4 +57,5 @@ def suggester(job: Job) -> Callable:
     path = job.capture / "field.pt"
     photographed = [view.camera for view in load_views(job.capture)]
     field = Field.load(path) if path.exists() else None
-    return partial(instantiate(job.cfg.scene.viewpoints, _convert_="all"), photographed, field=field, workspace=workspace(job))
+    suggest = instantiate(job.cfg.scene.viewpoints, _convert_="all")
+    return partial(suggest, photographed, field=field, workspace=workspace(job))

@@ -25,9 +25,12 @@ GOLDEN = np.pi * (3 - np.sqrt(5))
 
 @dataclass(frozen=True)
 class Limits:
-    """What a view must keep to: spacing_deg: between viewpoints that are tried; farthest_deg: from the nearest photograph,
-    both seen from c. widest_fov_deg: a view is as wide as it must be, up to this. least_seen: share of the
-    motions' places in the open that must be seen."""
+    """What a view must keep to.
+
+    spacing_deg: between viewpoints that are tried; farthest_deg: from the nearest photograph, both seen from c.
+    widest_fov_deg: a view is as wide as it must be, up to this. least_seen: share of the motions' places in the open
+    that must be seen.
+    """
 
     spacing_deg: float = 12.0
     farthest_deg: float = 12.0
@@ -35,7 +38,7 @@ class Limits:
     least_seen: float = 0.7
 
 
-def common_box(photographed: Sequence[Camera], lower, upper, least: float = 0.9, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+def common_box(photographed: Sequence[Camera], lower, upper, least: float = 0.9, seed: int = 0):
     """Corners (3,), (3,) [m] of the part of a box that nearly all photographs hold: what can be sketched on most views.
 
     least: share of the photographs. Without such a part, ValueError.
@@ -44,8 +47,9 @@ def common_box(photographed: Sequence[Camera], lower, upper, least: float = 0.9,
     held = np.mean([camera.contains(camera.project(points)) for camera in photographed], axis=0)
     if (held >= least).sum() < 8:
         raise ValueError(
-            f"no part of the workspace {_corner(lower)} to {_corner(upper)} lies in {least:.0%} of the {len(photographed)} "
-            f"photographs (the best point is in {held.max():.0%}): photograph it, or give scene.viewpoints.workspace where they look"
+            f"no part of the workspace {_corner(lower)} to {_corner(upper)} lies in {least:.0%} of the "
+            f"{len(photographed)} photographs (the best point is in {held.max():.0%}): photograph it, or give "
+            "scene.viewpoints.workspace where they look"
         )
     low, high = np.percentile(points[held >= least], [5, 95], axis=0)
     return low, high
@@ -75,12 +79,12 @@ def candidates(
         poses = around(photographed, points.mean(axis=0), limits.spacing_deg, limits.farthest_deg)
         cameras = [holding(pose, points, width, height, limits.widest_fov_deg) for pose in poses]
     whole = [camera for camera in cameras if camera.contains(camera.project(points)).mean() > 0.95]
-    clear = shares_seen(field, whole, points, photographed) >= limits.least_seen if field is not None else np.ones(len(whole), bool)
-    found = [camera for camera, ok in zip(whole, clear, strict=True) if ok]
+    shares = np.ones(len(whole)) if field is None else shares_seen(field, whole, points, photographed)
+    found = [camera for camera, share in zip(whole, shares, strict=True) if share >= limits.least_seen]
     if len(found) < 2:
         raise ValueError(
-            f"of {len(cameras)} views {len(whole)} hold the motions' places, and {len(found)} of these see them unhidden; two are "
-            "needed: take photographs around the workspace, or make scene.viewpoints.workspace smaller"
+            f"of {len(cameras)} views {len(whole)} hold the motions' places, and {len(found)} of these see them unhidden; "
+            "two are needed: take photographs around the workspace, or make scene.viewpoints.workspace smaller"
         )
     return found
 
@@ -99,13 +103,12 @@ def around(photographed: Sequence[Camera], target, spacing_deg: float, farthest_
     apart = np.degrees(np.arccos(np.clip(directions @ (offsets / distances[:, None]).T, -1, 1)))
     nearest = np.argsort(apart, axis=1)[:, :3]
     near = apart.min(axis=1) <= farthest_deg
-    return [
-        look_at(target + distances[three].mean() * direction, target) for direction, three in zip(directions[near], nearest[near], strict=True)
-    ]
+    eyes = target + distances[nearest].mean(axis=1, keepdims=True) * directions
+    return [look_at(eye, target) for eye in eyes[near]]
 
 
 def holding(pose, points, width: int, height: int, widest_fov_deg: float = 80.0) -> Camera:
-    """The camera at ``pose`` (4, 4) whose picture is just wide enough for the points (N, 3) [m], up to a field of view."""
+    """The camera at ``pose`` (4, 4) whose picture is just wide enough for the points (N, 3) [m], up to a limit."""
     unit = Camera.from_fov(pose, width, height, 60)
     reach = np.abs(unit.project(points) / [width / 2, height / 2] - 1).max()
     needed = 1.1 * np.nan_to_num(reach, nan=np.inf) * np.tan(np.radians(30))

@@ -15,7 +15,7 @@ from scene.camera import Camera
 POINTS = 24
 """Points of a motion."""
 MODES = 8
-"""A constant, a slope and the main modes of bends; what is left of a smooth curve beyond them is below a hundredth of it."""
+"""A constant, a slope and the main modes of bends: what a smooth curve has beyond them is below a hundredth of it."""
 LENGTH = 0.25
 """How far along a motion its bends belong together, of its length."""
 TRIES = 60
@@ -48,7 +48,8 @@ def motions_in(lower, upper, count: int = 24, seed: int = 0) -> np.ndarray:
     while len(found) < count:
         start, end = rng.uniform(lower, upper, (2, 3))
         length = np.linalg.norm(end - start)
-        motion = start + u * (end - start) + 0.5 * length / size * (upper - lower) * (bends @ rng.normal(size=(MODES, 3)))
+        bend = 0.5 * length / size * (upper - lower) * (bends @ rng.normal(size=(MODES, 3)))
+        motion = start + u * (end - start) + bend
         if length > 0.2 * size and ((motion >= lower) & (motion <= upper)).all():
             found.append(even(motion))
     return np.stack(found)
@@ -61,7 +62,8 @@ def left_open(cameras: Sequence[Camera], strokes, lower, upper, count: int = 24,
     wide. Of many such motions those are kept that further views' strokes fit best.
     """
     tries = _behind(cameras[0], even(strokes[0]), lower, upper, count * (TRIES if len(cameras) > 1 else 1), seed)
-    misses = [_miss(camera.project(tries), even(stroke)) for camera, stroke in zip(cameras[1:], strokes[1:], strict=True)]
+    others = zip(cameras[1:], strokes[1:], strict=True)
+    misses = [_miss(camera.project(tries), even(stroke)) for camera, stroke in others]
     return tries[np.argsort(np.sum(misses, axis=0), kind="stable")[:count]] if misses else tries
 
 
@@ -77,8 +79,8 @@ def _behind(camera: Camera, z, lower, upper, count: int, seed: int) -> np.ndarra
 
 
 def _through_box(origins, directions, lower, upper) -> tuple[float, float]:
-    """From where to where [m] along rays (N, 3) the box is, the median ray; of rays that all miss it, the box's size about its
-    middle."""
+    """From where to where [m] along rays (N, 3) the box is, the median of those that hit it; where all miss it, as far as
+    its ball is."""
     with np.errstate(divide="ignore"):
         ends = np.sort(np.stack([(lower - origins) / directions, (upper - origins) / directions]), axis=0)
     near, far = np.maximum(ends[0].max(axis=1), 1e-3), ends[1].min(axis=1)
@@ -89,7 +91,7 @@ def _through_box(origins, directions, lower, upper) -> tuple[float, float]:
 
 
 def _miss(seen, z) -> np.ndarray:
-    """(n,) [of z's extent]: how far curves (n, POINTS, 2) are from a stroke z (POINTS, 2), both ways, RMS to the nearest point."""
+    """(n,) [of z's extent]: RMS distance from curves (n, POINTS, 2) to the nearest of a stroke z (POINTS, 2), and back."""
     apart = np.linalg.norm(seen[:, :, None] - z, axis=-1)
     both = np.concatenate([apart.min(axis=1), apart.min(axis=2)], axis=1)
     return np.sqrt((np.nan_to_num(both, nan=np.inf) ** 2).mean(axis=1)) / max(np.ptp(z, axis=0).max(), 1e-9)

@@ -1,10 +1,10 @@
 """Which views to sketch on, so that the motion is known best: optimal design (Pukelsheim 2006) for strokes.
 
 Notation
-    x(u)        a motion in the workspace [m] at even arc length u in [0, 1], N points; x = mean + (Phi x I) w, w ~ N(0, I)
+    x(u)        a motion in the workspace [m] at even arc length u in [0, 1]; it may differ by (Phi x I) w, w ~ N(0, I)
     H_v         what view v sees of w: its Jacobian times Phi [px]
-    E_v         covariance of its hand's fault [px^2]: offset, size, smooth deviation and trembling (as people's letters have)
-    g_v, L      derivative of the stroke along its arc length [px]; covariance of the lag between the stroke's arc length and u
+    E_v         covariance of its hand's fault [px^2]: offset, size, smooth deviation and trembling, as people's letters have
+    g_v, L      derivative of the stroke by its arc length [px]; covariance of the lag between that arc length and u
     I_v         = H_v^T (E_v + g_v L g_v^T)^-1 H_v        information of a view about w
     Sigma       = (I + sum_v I_v)^-1
 
@@ -27,13 +27,14 @@ from scene import coverage, paths
 from scene.camera import Camera
 from scene.motions import MODES, POINTS, left_open, motions_in, smooth_modes
 
+
 @dataclass(frozen=True)
 class Hand:
     """How inexactly a person draws, as fractions of the drawing's extent; defaults are those of people's letters.
 
-    offset, size, smooth: RMS of the parts of a stroke's fault, smooth over ``correlation`` of its length. trembling: RMS of
-    the rest. lag, lag_length: size and correlation length of what arc lengths of views differ by, of the length. strokes:
-    how many are drawn on a view.
+    offset, size, smooth: RMS of the parts of a stroke's fault, smooth over ``correlation`` of its length. trembling: RMS
+    of the rest. lag, lag_length: size and correlation length of what arc lengths of views differ by, of the length.
+    strokes: how many are drawn on a view.
     """
 
     offset: float = 0.03
@@ -130,13 +131,13 @@ def suggest(
 ) -> Proposal:
     """The pair of views to sketch a motion on, or the next one after those ``drawn`` on.
 
-    strokes: of each drawn view one stroke (N, 2) [px], or none where nothing is known of the motion. field: what
-    is looked at (``transmittance``); None: photographs are chosen among. workspace: lower and upper corner (3,) [m] within which
-    motions are meant; None: about what the photographs look at. count: motions looked at. limits: of the
-    views. ValueError where photographs cover no two views of the workspace.
+    strokes: of each drawn view one stroke (N, 2) [px], or none where nothing is known of the motion. field: what is
+    looked at (``transmittance``); None: photographs are chosen among. workspace: lower and upper corner (3,) [m] within
+    which motions are meant; None: about what the photographs look at. count: motions looked at. limits: of the views.
+    ValueError where photographs cover no two views of the workspace.
     """
     if len(strokes) not in (0, len(drawn)):
-        raise ValueError(f"there are {len(drawn)} views and strokes of {len(strokes)}: give one stroke for each view, or none")
+        raise ValueError(f"there are {len(drawn)} views and {len(strokes)} strokes: give one stroke for each view, or none")
     box = coverage.common_box(photographed, *(_looked_at(photographed) if workspace is None else workspace))
     motions = left_open(drawn, strokes, *box, count, seed) if len(strokes) else motions_in(*box, count, seed)
     views = coverage.candidates(photographed, motions, field, width=width, height=height, limits=limits)
@@ -174,7 +175,7 @@ def propose_pair(candidates: Sequence[Camera], motions, hand: Hand = Hand()) -> 
 
 
 def propose_next(candidates: Sequence[Camera], drawn: Sequence[Camera], motions, hand: Hand = Hand()) -> Proposal:
-    """The view that, added to those ``drawn`` on, makes motions (n, POINTS, 3) [m] most certain. ValueError for none."""
+    """The view that, with those ``drawn`` on, makes motions (n, POINTS, 3) [m] most certain. ValueError for none."""
     if not (len(candidates) and len(drawn)):
         raise ValueError(f"a next view needs candidates and views drawn before, not {len(candidates)} and {len(drawn)}")
     known = sum(information(camera, motions, hand) for camera in drawn)

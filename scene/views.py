@@ -16,7 +16,7 @@ from scene.files import replacing
 
 @dataclass(frozen=True)
 class Chosen:
-    """Named cameras: those to sketch on (a third for evaluation), and those of an orbit; and why these, in sentences."""
+    """Named cameras: those to sketch on (a third for evaluation), those of an orbit; and why these, in sentences."""
 
     sketch: dict[str, Camera]
     orbit: dict[str, Camera]
@@ -35,10 +35,11 @@ def choose(
     height=480,
     orbit=12,
 ) -> Chosen:
-    """Views of size ``width`` x ``height`` at ``eyes`` (see ``given``), or at photographed viewpoints where none are given.
+    """Views of size ``width`` x ``height`` at ``eyes`` (see ``given``), or at photographed viewpoints where there are none.
 
-    suggest: as `scene.viewpoints.suggest`, chooses instead, by ``field`` and ``workspace``: a pair and a third view, or the
-    one after those of ``sketch`` (each with view, camera and motions). orbit: number of frames of an orbit at half that size.
+    suggest: as `scene.viewpoints.suggest`, chooses instead, by ``field`` and ``workspace``: a pair and a third view, or
+    the one after those of ``sketch`` (each with view, camera and motions). orbit: number of frames of an orbit at half
+    that size.
     """
     size, why = {"width": width, "height": height}, ()
     if suggest is not None:
@@ -50,7 +51,7 @@ def choose(
 
 
 def suggested(suggest: Callable, sketch: Sequence) -> tuple[dict[str, Camera], tuple[str, ...]]:
-    """Named cameras and why: the pair that ``suggest`` proposes and the view after it, or sketched views and the next."""
+    """Named cameras and why: the pair that ``suggest`` proposes and the view after it; or sketched views and the next."""
     if not sketch:
         pair = suggest()
         third = suggest(pair.cameras)
