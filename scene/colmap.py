@@ -113,6 +113,8 @@ def reconstruct(
     features: int = 4096,
     feature_size: int = 1600,
     max_size: int = 1024,
+    exhaustive: int = 80,
+    alike: int = 20,
     threads: int = 1,
     progress: bool = True,
 ) -> Model:
@@ -120,7 +122,8 @@ def reconstruct(
 
     camera_model: COLMAP's name of the lens model. single_camera: all photographs were taken with one lens and zoom.
     features: at most so many in a photograph. feature_size: longest side [px] at which they are sought.
-    max_size: longest side [px] of the undistorted pictures. threads: with 1 the same seed gives the same model, bit by
+    max_size: longest side [px] of the undistorted pictures. exhaustive: up to so many photographs every pair is matched;
+    of more, each with its neighbours by name and ``alike`` that look alike (scene.retrieval). threads: with 1 the same seed gives the same model, bit by
     bit; more are faster. Raises ReconstructionFailed when fewer than three or fewer than half of the photographs join.
     """
     photographs, work = [Path(p).absolute() for p in photographs], Path(work)
@@ -138,6 +141,7 @@ def reconstruct(
             "folder": str(unfinished.absolute()), "names": sorted(p.name for p in photographs), "seed": seed,
             "camera_model": camera_model, "single_camera": single_camera, "features": features,
             "feature_size": feature_size, "max_size": max_size, "threads": threads,
+            "alike": alike if len(photographs) > exhaustive else None,
         }  # fmt: skip
         return _worked("solve", settings, work, progress)
     finally:
@@ -306,20 +310,20 @@ def _die_with_parent():
         ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG
 
 
-def _solve(folder, names, seed, threads, max_size, say, **settings):
+def _solve(folder, names, seed, threads, max_size, alike, say, **settings):
     """Reconstruct; what was left out is tried once more with relaxed thresholds before it is given up."""
     pycolmap, folder = _pycolmap(), Path(folder)
     pycolmap.logging.minloglevel = pycolmap.logging.WARNING.value
     pycolmap.set_random_seed(seed)
     run = _Run(pycolmap, folder, names, seed, threads, say)
     run.extract(PEAK, **settings)
-    found = run.match(names, USUAL["max_ratio"])
+    found = run.match(names, USUAL["max_ratio"], alike)
     best = run.map(USUAL)
     if _left_out(best, names):
         if not _enough(best, names):
             run.extract(RELAXED_PEAK, **settings | {"features": 2 * settings["features"]})
             best = None
-        found = run.match(_left_out(best, names), RELAXED["max_ratio"])
+        found = run.match(_left_out(best, names), RELAXED["max_ratio"], alike and 2 * alike)
         best = max(best, run.map(RELAXED), key=_registered)
     if not _enough(best, names):
         raise ReconstructionFailed(_advice(len(names), _registered(best), found))
@@ -455,14 +459,19 @@ class _Run:
         with Image.open(self.folder / "photographs" / self.names[0]) as image:
             return max(image.size)
 
-    def match(self, names, max_ratio) -> dict:
-        """Match ``names`` with all photographs anew; returns how much the database holds then."""
+    def match(self, names, max_ratio, alike=None) -> dict:
+        """Match ``names`` anew, with all photographs or with those that ``_unlike`` leaves; returns how much the database
+        holds then."""
         with self.pycolmap.Database.open(self.database) as content:
             numbers = {image.name: image.image_id for image in content.read_all_images()}
             for a, b in itertools.product(names, self.names):
                 if a != b and content.exists_matches(numbers[a], numbers[b]):
                     content.delete_matches(numbers[a], numbers[b])
                     content.delete_two_view_geometry(numbers[a], numbers[b])
+            for a, b in self._unlike(content, numbers, alike) if alike else ():
+                if not content.exists_matches(a, b):
+                    content.write_matches(a, b, np.empty((0, 2), np.uint32))  # taken for matched, without success
+                    content.write_two_view_geometry(a, b, self.pycolmap.TwoViewGeometry())
         options = self.pycolmap.FeatureMatchingOptions()
         options.num_threads = self.threads
         options.sift.max_ratio = max_ratio
@@ -475,6 +484,15 @@ class _Run:
         with self.pycolmap.Database.open(self.database) as content:
             features = content.num_keypoints() / content.num_images()
             return {"pairs": content.num_verified_image_pairs(), "features": features}
+
+    def _unlike(self, content, numbers, alike: int) -> list[tuple[int, int]]:
+        """Numbers of all pairs but neighbours and those that look alike."""
+        from scene.retrieval import pairs_to_match
+
+        seen = [np.asarray(content.read_descriptors(numbers[name]).data) for name in self.names]
+        kept = set(pairs_to_match(seen, alike=alike, seed=self.seed))
+        pairs = itertools.combinations(range(len(self.names)), 2)
+        return [(numbers[self.names[i]], numbers[self.names[j]]) for i, j in pairs if (i, j) not in kept]
 
     def map(self, limits):
         """The largest model, or None."""

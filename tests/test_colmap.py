@@ -174,6 +174,16 @@ def test_the_same_seed_gives_the_same_model_bit_by_bit(capture, tmp_path):
     assert all(np.array_equal(a.world_from_camera, b.world_from_camera) for a, b in zip(again.cameras, model.cameras))
 
 
+def test_of_many_photographs_only_those_that_look_alike_are_matched(capture, tmp_path):
+    photographs, _, _ = capture
+    model = colmap.reconstruct(photographs, tmp_path / "work", exhaustive=5, alike=2, progress=False)
+    true = cameras(12)
+    similarity = frame.umeyama(np.array([c.centre for c in model.cameras]), np.array([c.centre for c in true]))
+    mm, degrees = camera_errors(model, similarity, true)
+    assert model.registered == 12
+    assert np.median(mm) < 5 and np.median(degrees) < 0.3
+
+
 def test_a_bent_lens_is_straightened_and_large_pictures_are_scaled(tmp_path):
     faces = world()
     for i, camera in enumerate(cameras(8, 360, 270)):
