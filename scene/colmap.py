@@ -318,15 +318,17 @@ def _solve(folder, names, seed, threads, max_size, alike, say, **settings):
     run = _Run(pycolmap, folder, names, seed, threads, say)
     run.extract(PEAK, **settings)
     found = run.match(names, USUAL["max_ratio"], alike)
-    best = run.map(USUAL)
+    models = run.map(USUAL)
+    best = models[0] if models else None
     if _left_out(best, names):
         if not _enough(best, names):
             run.extract(RELAXED_PEAK, **settings | {"features": 2 * settings["features"]})
             best = None
         found = run.match(_left_out(best, names), RELAXED["max_ratio"], alike and 2 * alike)
-        best = max(best, run.map(RELAXED), key=_registered)
+        models = run.map(RELAXED)
+        best = max([best, *models], key=_registered)
     if not _enough(best, names):
-        raise ReconstructionFailed(_advice(len(names), _registered(best), found))
+        raise ReconstructionFailed(_advice(len(names), _registered(best), found, _groups(best, models)))
     straight = _adjust(pycolmap, best, max_size)
     (folder / "colmap" / "sparse" / "0").mkdir(parents=True)
     best.write(folder / "colmap" / "sparse" / "0")
@@ -494,8 +496,8 @@ class _Run:
         pairs = itertools.combinations(range(len(self.names)), 2)
         return [(numbers[self.names[i]], numbers[self.names[j]]) for i, j in pairs if (i, j) not in kept]
 
-    def map(self, limits):
-        """The largest model, or None."""
+    def map(self, limits) -> list:
+        """Models, the largest first."""
         options = self.pycolmap.IncrementalPipelineOptions()
         options.num_threads = 1  # sums in bundle adjustment depend on the order of its threads
         options.random_seed = self.seed
@@ -510,11 +512,28 @@ class _Run:
                 self.database, self.folder / "photographs", output, options,
                 next_image_callback=lambda: self.say(count=next(count)),
             )  # fmt: skip
-        return max(models.values(), key=lambda model: (model.num_reg_images(), model.num_points3D()), default=None)
+        return sorted(models.values(), key=lambda m: (m.num_reg_images(), m.num_points3D()), reverse=True)
 
 
-def _advice(total: int, registered: int, found: dict) -> str:
+def _groups(best, models) -> list[int]:
+    """Sizes of further models that share no photograph with the best."""
+    posed = lambda model: {image.name for image in model.images.values() if image.has_pose}
+    taken, sizes = posed(best) if best else set(), []
+    for names in map(posed, models):
+        if not names & taken:
+            sizes.append(len(names))
+            taken = taken | names
+    return sizes
+
+
+def _advice(total: int, registered: int, found: dict, groups: list[int]) -> str:
     pairs = total * (total - 1) // 2
+    if groups:
+        sizes = ", ".join(map(str, groups))
+        return (
+            f"the photographs fall into groups of {registered}, {sizes} that show nothing in common: take some on the way from "
+            "one to the other, or give one group alone"
+        )
     return (
         f"only {registered} of {total} photographs could be joined ({found['pairs']} of {pairs} pairs show common "
         f"points, {found['features']:.0f} features in a photograph). What helps: neighbours that overlap by 60-80 %, "

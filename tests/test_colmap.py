@@ -5,6 +5,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -213,6 +214,19 @@ def test_pictures_that_do_not_overlap_are_refused_with_advice(tmp_path):
     with pytest.raises(colmap.ReconstructionFailed, match=r"only 0 of 5 .*0 of 10 pairs.*overlap by 60-80 %"):
         colmap.reconstruct(dataset.load_photographs(tmp_path / "photographs"), tmp_path, progress=False)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["photographs"]
+
+
+def test_groups_that_share_no_photograph_are_said():
+    def found(names):
+        images = {i: SimpleNamespace(name=name, has_pose=name != "x") for i, name in enumerate(names)}
+        return SimpleNamespace(images=images)
+
+    best = found("abcde")
+    groups = colmap._groups(best, [best, found("fghix"), found("aklm"), found("nop")])
+    assert groups == [4, 3]
+    found_pairs = {"pairs": 0, "features": 0}
+    assert "groups of 5, 4, 3 that show nothing in common" in colmap._advice(20, 5, found_pairs, groups)
+    assert colmap._groups(None, []) == [] and "only 0 of 20" in colmap._advice(20, 0, found_pairs, [])
 
 
 def test_pictures_without_texture_are_refused(tmp_path):
