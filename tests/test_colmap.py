@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from scene import apriltag, colmap, dataset, frame
+from scene import apriltag, colmap, dataset, frame, mapping
 from scene.camera import Camera, look_at
 
 DATA = Path(__file__).parents[2] / "shared" / "data"
@@ -222,11 +222,11 @@ def test_groups_that_share_no_photograph_are_said():
         return SimpleNamespace(images=images)
 
     best = found("abcde")
-    groups = colmap._groups(best, [best, found("fghix"), found("aklm"), found("nop")])
+    groups = mapping._groups(best, [best, found("fghix"), found("aklm"), found("nop")])
     assert groups == [4, 3]
     found_pairs = {"pairs": 0, "features": 0}
-    assert "groups of 5, 4, 3 that show nothing in common" in colmap._advice(20, 5, found_pairs, groups)
-    assert colmap._groups(None, []) == [] and "only 0 of 20" in colmap._advice(20, 0, found_pairs, [])
+    assert "groups of 5, 4, 3 that show nothing in common" in mapping._advice(20, 5, found_pairs, groups)
+    assert mapping._groups(None, []) == [] and "only 0 of 20" in mapping._advice(20, 0, found_pairs, [])
 
 
 def test_pictures_without_texture_are_refused(tmp_path):
