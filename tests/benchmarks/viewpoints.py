@@ -123,7 +123,8 @@ def report(errors, cameras, apart, pairs, meant, motions) -> None:
     print(f"rank correlation of expected and true error   {_agreement(expected, true):.2f}")
     print(f"  knowing where the motions run               {_agreement(knowing.mean(axis=1), true):.2f}")
     print(f"  of each motion on each pair, one hand       {_agreement(knowing.ravel(), each.ravel()):.2f}")
-    print(f"  of the sine of the angle alone              {_agreement([-np.sin(np.radians(apart[p])) for p in pairs], true):.2f}")
+    sines = np.sin(np.radians([apart[pair] for pair in pairs]))
+    print(f"  of the sine of the angle alone              {_agreement(-sines, true):.2f}")
     print(f"median random pair {np.median(true):.1f} mm, best {true.min():.1f}, worst {true.max():.1f}")
     for kind, title in (("proposed", "the proposed pair"), ("greedy", f"the {GREEDY} pairs nearest to 90 degrees")):
         print(f"{title} {mean(kind):.1f} mm, {mean(kind) / np.median(true):.2f} of it")
