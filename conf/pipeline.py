@@ -110,14 +110,20 @@ def split(views) -> tuple[list, list]:
 
 def render(job: Job, out: Path) -> dict:
     """Views to sketch on, and an orbit to look around."""
+    from conf.rendering import workspace
     from robot.execution import save_video
     from scene.dataset import load_frame, load_views, save_views
     from scene.field import Field
     from scene.views import render
+    from teach import sketch as sketch_files
 
     field = Field.load(job.capture / "field.pt")
     photographed = [view.camera for view in load_views(job.capture)]
-    chosen = _setting(job, "scene.views")(photographed, None if job.cfg.photos else job.settings("world.sketch_views"))
+    eyes = None if job.cfg.photos else job.settings("world.sketch_views")
+    known = {"sketch": sketch_files.load(before)} if (before := _drawn_before(job)) else {}
+    chosen = _setting(job, "scene.views")(photographed, eyes, field=field, workspace=workspace(job), **known)
+    for sentence in chosen.why:
+        log.info("  %s", sentence)
     views = render(field, chosen.sketch, out / "views", partial(_progress, title="views"))
     save_views(out / "views", views, images=".", frame=load_frame(job.capture))
     frames = render(field, chosen.orbit, out / "views" / "orbit", partial(_progress, title="orbit"), depth=False)
@@ -133,7 +139,7 @@ def sketch(job: Job, out: Path) -> dict:
     from teach import sketch as sketch_files
 
     if job.cfg.user.kind == "files":
-        sketches = sketch_files.load(_stored_sketches(job))
+        sketches = sketch_files.load(_stored_sketches(job, job.cfg.user.file))
         held_out, intended = [], {}
     else:
         from conf.seen import draw
@@ -236,7 +242,9 @@ STAGES = (
     Stage("reconstruct", reconstruct, ("images", "colmap", "sparse.ply", "transforms.json"),
           settings=("scene.colmap", "scene.frame", *SCENE), inputs=lambda job: _fingerprint(job), shared=True),
     Stage("train", train, ("field.pt", "held_out"), ("reconstruct",), ("scene.fit", *SCENE), shared=True, resumable=True),
-    Stage("render", render, ("views",), ("train",), ("scene.views", "world.sketch_views"), shared=True, resumable=True),
+    Stage("render", render, ("views",), ("train",), ("scene.views", "world.sketch_views", "world.workspace"),
+          inputs=lambda job: hashlib.sha256(file.read_bytes()).hexdigest() if (file := _drawn_before(job)) else None,
+          shared=True, resumable=True),
     Stage("sketch", sketch, ("sketches.json", "held_out.json", "intended.npz"), ("render",), ("user", "world", "seed")),
     Stage("fit", fit, ("skill.npz", "densities.npz"), ("sketch",), ("teach", "seed")),
     Stage("plan", plan, ("plan.npz", "trajectory.csv", "joint_trajectory.json"), ("fit",),
@@ -352,10 +360,24 @@ def _fingerprint(job: Job) -> dict[str, str]:
     return went_in | ({"scene.video": str(job.settings("scene.video"))} if source and source.kind == "video" else {})
 
 
-def _stored_sketches(job: Job) -> Path:
-    """user.file: a name in the capture's sketches folder, or a path."""
-    named = job.capture / "sketches" / f"{job.cfg.user.file}.json"
-    return named if named.exists() else Path(job.cfg.user.file)
+def _stored_sketches(job: Job, name: str) -> Path:
+    """A name in the capture's sketches folder, or a path."""
+    folder = job.capture / "sketches"
+    for path in (folder / f"{name}.json", folder / name, Path(name)):
+        if path.is_file():
+            return path
+    there = ", ".join(sorted(path.stem for path in folder.glob("*.json"))) or "none"
+    raise FileNotFoundError(f"there are no sketches {name!r}: give the path of a file, or a name in {folder} ({there})")
+
+
+def _drawn_before(job: Job) -> Path | None:
+    """scene.views.sketch: what was drawn before the next view is chosen."""
+    from omegaconf import OmegaConf
+
+    if missing := OmegaConf.missing_keys(job.cfg.scene.views):
+        raise ValueError(f"these views need {missing.pop()}=...: a name in {job.capture / 'sketches'}, or a file")
+    name = job.settings("scene.views.sketch")
+    return _stored_sketches(job, name) if name else None
 
 
 def _depths(job: Job, sketches) -> dict:

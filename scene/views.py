@@ -1,6 +1,9 @@
 """New views of a scene: which cameras, and their pictures on disk."""
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
+from itertools import count
 from pathlib import Path
 
 import numpy as np
@@ -13,24 +16,56 @@ from scene.files import replacing
 
 @dataclass(frozen=True)
 class Chosen:
-    """Named cameras: three views to sketch on (the third for evaluation), and those of an orbit."""
+    """Named cameras: those to sketch on (a third for evaluation), those of an orbit; and why these, in sentences."""
 
     sketch: dict[str, Camera]
     orbit: dict[str, Camera]
+    why: tuple[str, ...] = ()
 
 
-def choose(photographed: list[Camera], eyes: list[dict] | None = None, *, width=640, height=480, orbit=12) -> Chosen:
-    """Views of size ``width`` x ``height`` at ``eyes`` (see ``given``), or at photographed viewpoints where none are given.
+def choose(
+    photographed: list[Camera],
+    eyes: list[dict] | None = None,
+    *,
+    field=None,
+    workspace=None,
+    suggest: Callable | None = None,
+    sketch: Sequence = (),
+    width=640,
+    height=480,
+    orbit=12,
+) -> Chosen:
+    """Views of size ``width`` x ``height`` at ``eyes`` (see ``given``), or at photographed viewpoints where there are none.
 
-    orbit: number of frames of an orbit at half that size.
+    suggest: as `scene.viewpoints.suggest`, chooses instead, by ``field`` and ``workspace``: a pair and a third view, or
+    the one after those of ``sketch`` (each with view, camera and motions). orbit: number of frames of an orbit at half
+    that size.
     """
-    size = {"width": width, "height": height}
-    sketch = given(eyes, **size) if eyes else well_separated(photographed, **size)
+    size, why = {"width": width, "height": height}, ()
+    if suggest is not None:
+        named, why = suggested(partial(suggest, photographed, field=field, workspace=workspace, **size), sketch)
+    else:
+        named = numbered(given(eyes, **size) if eyes else well_separated(photographed, **size))
     around = paths.orbit(photographed, frames=orbit).cameras if orbit else {}
-    return Chosen(
-        {f"view{i}": camera for i, camera in enumerate(sketch, start=1)},
-        {name: camera.cropped(width // 2, height // 2) for name, camera in around.items()},
-    )
+    return Chosen(named, {name: camera.cropped(width // 2, height // 2) for name, camera in around.items()}, why)
+
+
+def suggested(suggest: Callable, sketch: Sequence) -> tuple[dict[str, Camera], tuple[str, ...]]:
+    """Named cameras and why: the pair that ``suggest`` proposes and the view after it; or sketched views and the next."""
+    if not sketch:
+        pair = suggest()
+        third = suggest(pair.cameras)
+        return numbered([*pair.cameras, *third.cameras]), (pair.why, third.why)
+    drawn = {one.view: one.camera for one in sketch}
+    strokes = [one.motions[0].points for one in sketch]
+    found = suggest(list(drawn.values()), strokes)
+    number = next(i for i in count(len(drawn) + 1) if f"view{i}" not in drawn)
+    return drawn | {f"view{number}": found.cameras[0]}, (found.why,)
+
+
+def numbered(cameras: Sequence[Camera]) -> dict[str, Camera]:
+    """Cameras named view1, view2, ..."""
+    return {f"view{i}": camera for i, camera in enumerate(cameras, start=1)}
 
 
 def well_separated(cameras: list[Camera], *, width=640, height=480, angle_deg=75.0) -> list[Camera]:

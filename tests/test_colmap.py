@@ -5,13 +5,14 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
 import pytest
 from PIL import Image
 
-from scene import apriltag, colmap, dataset, frame
+from scene import apriltag, colmap, dataset, frame, mapping
 from scene.camera import Camera, look_at
 
 DATA = Path(__file__).parents[2] / "shared" / "data"
@@ -174,6 +175,16 @@ def test_the_same_seed_gives_the_same_model_bit_by_bit(capture, tmp_path):
     assert all(np.array_equal(a.world_from_camera, b.world_from_camera) for a, b in zip(again.cameras, model.cameras))
 
 
+def test_of_many_photographs_only_those_that_look_alike_are_matched(capture, tmp_path):
+    photographs, _, _ = capture
+    model = colmap.reconstruct(photographs, tmp_path / "work", exhaustive=5, alike=2, progress=False)
+    true = cameras(12)
+    similarity = frame.umeyama(np.array([c.centre for c in model.cameras]), np.array([c.centre for c in true]))
+    mm, degrees = camera_errors(model, similarity, true)
+    assert model.registered == 12
+    assert np.median(mm) < 5 and np.median(degrees) < 0.3
+
+
 def test_a_bent_lens_is_straightened_and_large_pictures_are_scaled(tmp_path):
     faces = world()
     for i, camera in enumerate(cameras(8, 360, 270)):
@@ -203,6 +214,19 @@ def test_pictures_that_do_not_overlap_are_refused_with_advice(tmp_path):
     with pytest.raises(colmap.ReconstructionFailed, match=r"only 0 of 5 .*0 of 10 pairs.*overlap by 60-80 %"):
         colmap.reconstruct(dataset.load_photographs(tmp_path / "photographs"), tmp_path, progress=False)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["photographs"]
+
+
+def test_groups_that_share_no_photograph_are_said():
+    def found(names):
+        images = {i: SimpleNamespace(name=name, has_pose=name != "x") for i, name in enumerate(names)}
+        return SimpleNamespace(images=images)
+
+    best = found("abcde")
+    groups = mapping._groups(best, [best, found("fghix"), found("aklm"), found("nop")])
+    assert groups == [4, 3]
+    found_pairs = {"pairs": 0, "features": 0}
+    assert "groups of 5, 4, 3 that show nothing in common" in mapping._advice(20, 5, found_pairs, groups)
+    assert mapping._groups(None, []) == [] and "only 0 of 20" in mapping._advice(20, 0, found_pairs, [])
 
 
 def test_pictures_without_texture_are_refused(tmp_path):

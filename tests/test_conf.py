@@ -12,7 +12,7 @@ CONF = Path(__file__).parents[1] / "conf"
 OPTIONS = sorted(
     path.relative_to(CONF).with_suffix("").as_posix() for path in CONF.rglob("*.yaml") if path.name != "config.yaml"
 )
-GIVEN = {"user=files": ["user.file=strokes.json"], "scene/paths=file": ["scene.paths.file=path.json"]}
+GIVEN = {"user=files": ["user.file=strokes.json"], "scene/paths=file": ["scene.paths.file=path.json"], "scene/views=next": ["scene.views.sketch=reach"]}
 
 
 @pytest.fixture

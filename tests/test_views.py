@@ -1,11 +1,14 @@
 """Which cameras look at the scene, and their pictures on disk."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from scene import views
 from scene.camera import Camera, orbit
 from scene.dataset import save_views
+from scene.viewpoints import Proposal
 
 TARGET = np.array([0.4, -0.2, 0.3])
 
@@ -68,3 +71,32 @@ def test_depth_is_found_by_a_views_name_if_its_camera_is_the_same(tmp_path):
     assert list(found) == ["a"] and found["a"] == pytest.approx(2.5) and found["a"].dtype == np.float32
     assert list(views.load_depths(tmp_path, {"a": cameras["a"].resized(64, 48)})) == ["a"]
     assert views.load_depths(tmp_path, {"a": cameras["b"]}) == {}
+
+
+def proposing(calls):
+    """Stands for `scene.viewpoints.suggest`: proposes the photographs in turn, and remembers what it was told."""
+
+    def suggest(photographed, drawn=(), strokes=(), **known):
+        calls.append((len(drawn), len(strokes), known))
+        cameras = photographed[len(drawn) : len(drawn) + 1] if drawn else photographed[:2]
+        return Proposal(tuple(cameras), (0,), 9.0, 1.0, f"after {len(drawn)}")
+
+    return suggest
+
+
+def test_a_suggested_pair_has_a_third_view_for_evaluation():
+    calls, photographed = [], around(orbit(TARGET, 1.5, 30, 5))
+    chosen = views.choose(photographed, suggest=proposing(calls), field="field", workspace="box", orbit=0)
+    assert list(chosen.sketch.values()) == photographed[:3] and list(chosen.sketch) == ["view1", "view2", "view3"]
+    assert chosen.why == ("after 0", "after 2")
+    assert [call[:2] for call in calls] == [(0, 0), (2, 0)]
+    assert calls[0][2] == {"field": "field", "workspace": "box", "width": 640, "height": 480}
+
+
+def test_what_was_sketched_stays_and_the_next_view_joins_it():
+    calls, photographed = [], around(orbit(TARGET, 1.5, 30, 5))
+    stroke = SimpleNamespace(points=np.zeros((2, 2)))
+    drawn = [SimpleNamespace(view=name, camera=photographed[4], motions=(stroke,)) for name in ("view1", "view3")]
+    chosen = views.choose(photographed, suggest=proposing(calls), sketch=drawn, orbit=0)
+    assert list(chosen.sketch) == ["view1", "view3", "view4"] and chosen.sketch["view4"] is photographed[2]
+    assert calls[0][:2] == (2, 2)
