@@ -145,16 +145,17 @@ def reconstruct(
 
 
 def adopt(
-    given: Posed | Path, images: str | Path, work: str | Path, *, max_size: int = 1024, progress: bool = True
-) -> Model:
+    given: Posed | Path, images: str | Path, work: str | Path, *, max_size: int = 1024, progress: bool = True,
+    fewest: int = FEWEST_PHOTOGRAPHS,
+) -> Model:  # fmt: skip
     """Take cameras that are known already as they are, in their own frame; write ``work``, see above.
 
     given: Posed, or the folder of a COLMAP model whose pictures lie in ``images``. Points of a Posed come without what
     saw them, so the model has no reprojection error (nan). Raises ReconstructionFailed when the model cannot be read,
-    fewer than three of its pictures have cameras, or one is missing, of another size, or turned by its EXIF.
+    fewer than ``fewest`` of its pictures have cameras, or one is missing, of another size, or turned by its EXIF.
     """
     work = Path(work)
-    settings = {"images": str(Path(images).absolute()), "max_size": max_size}
+    settings = {"images": str(Path(images).absolute()), "max_size": max_size, "fewest": fewest}
     if isinstance(given, Posed):
         points, colours = read_points(given.ply) if given.ply else (np.empty((0, 3)), np.empty((0, 3)))
         settings |= {"names": given.names, "lenses": given.lenses, "poses": given.poses.tolist()}
@@ -329,7 +330,7 @@ def _solve(folder, names, seed, threads, max_size, say, **settings):
     _write_results(best, folder, names, max_size, straight, say)
 
 
-def _adopt(folder, names, images, max_size, say, sparse=None, **given):
+def _adopt(folder, names, images, max_size, fewest, say, sparse=None, **given):
     """Write what is known already as ``_solve`` writes what it has found."""
     pycolmap, folder, images = _pycolmap(), Path(folder), Path(images)
     pycolmap.logging.minloglevel = pycolmap.logging.FATAL.value
@@ -341,9 +342,8 @@ def _adopt(folder, names, images, max_size, say, sparse=None, **given):
         except (ValueError, RuntimeError, MemoryError, IndexError, KeyError) as error:
             raise ReconstructionFailed(f"{sparse} is not a readable COLMAP model: {error}") from error
     posed = [image for image in model.images.values() if image.has_pose]
-    if len(posed) < FEWEST_PHOTOGRAPHS:
-        needed = f"a scene needs {FEWEST_PHOTOGRAPHS}, better 30"
-        raise ReconstructionFailed(f"only {len(posed)} pictures have cameras; {needed}")
+    if len(posed) < fewest:
+        raise ReconstructionFailed(f"only {len(posed)} pictures have cameras; a scene needs {fewest}, better 30")
     _check_pictures(images, [(image.name, model.cameras[image.camera_id]) for image in posed])
     (folder / "colmap" / "sparse" / "0").mkdir(parents=True)
     model.write(folder / "colmap" / "sparse" / "0")

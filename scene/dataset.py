@@ -33,10 +33,10 @@ DISTORTION = ("k1", "k2", "k3", "k4", "p1", "p2")
 FEWEST_PHOTOGRAPHS = 3
 
 
-def load_photographs(folder: str | Path) -> list[Path]:
+def load_photographs(folder: str | Path, fewest: int = FEWEST_PHOTOGRAPHS) -> list[Path]:
     """The pictures of a folder, sorted by name, each of them decoded once to its last byte.
 
-    Raises FileNotFoundError (no such folder, no pictures) or ValueError (too few, unreadable, truncated, two of one
+    fewest: how many there must be. Raises FileNotFoundError (no such folder, no pictures) or ValueError (too few, unreadable, truncated, two of one
     name, different sizes after EXIF rotation).
     """
     folder = Path(folder)
@@ -48,9 +48,9 @@ def load_photographs(folder: str | Path) -> list[Path]:
         there = ", ".join(f"{n} {s or 'without extension'}" for s, n in Counter(p.suffix for p in files).items())
         wanted = " ".join(EXTENSIONS)
         raise FileNotFoundError(f"no pictures in {folder}: looked for {wanted}; there: {there or 'no files'}")
-    if len(paths) < FEWEST_PHOTOGRAPHS:
+    if len(paths) < fewest:
         names = ", ".join(p.name for p in paths)
-        needed = f"a scene needs at least {FEWEST_PHOTOGRAPHS}, better 30"
+        needed = f"a scene needs at least {fewest}" + ", better 30" * (fewest == FEWEST_PHOTOGRAPHS)
         raise ValueError(f"only {len(paths)} pictures in {folder} ({names}); {needed}")
     _refuse_equal_names(paths)
     _refuse_different_sizes({p: _checked_size(p) for p in paths})

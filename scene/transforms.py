@@ -62,7 +62,7 @@ def read(path: str | Path) -> Posed:
             raise ValueError(f"{where}: missing {', '.join(missing)}")
         where = f"{where} ({frame['file_path']})"
         files.append(_picture(path.parent, frame["file_path"], where))
-        lenses.append(_lens(meta | frame, files[-1], where))
+        lenses.append(lens_of(_sized(meta | frame, files[-1]), where))
         poses.append(_pose(frame["transform_matrix"], where))
     root = Path(os.path.commonpath([file.parent for file in files]))
     names = tuple(file.relative_to(root).as_posix() for file in files)
@@ -83,12 +83,18 @@ def _picture(folder: Path, file_path, where: str) -> Path:
     return inside(folder, str(named), where)
 
 
-def _lens(said: dict, picture: Path, where: str) -> dict:
-    """COLMAP's camera model and its parameters."""
+def _sized(said: dict, picture: Path) -> dict:
+    """What is said of a picture, with its size if that is not said."""
+    if said.get("w") is not None and said.get("h") is not None:
+        return said
+    with Image.open(picture) as image:
+        width, height = image.size
+    return said | {"w": width, "h": height}
+
+
+def lens_of(said: dict, where: str) -> dict:
+    """COLMAP's camera model and its parameters, of intrinsics under transforms.json's keys; ValueError beginning with ``where``."""
     width, height = said.get("w"), said.get("h")
-    if width is None or height is None:
-        with Image.open(picture) as image:
-            width, height = image.size
     if said.get("fl_x") is None and said.get("camera_angle_x") is None:
         raise ValueError(f"{where}: missing fl_x (or camera_angle_x)")
     try:
