@@ -54,7 +54,6 @@ def reconstruct(job: Job, out: Path) -> dict:
 
     from conf.evaluation import camera_errors
     from conf.reconstruction import model_of
-    from scene.camera import View
     from scene.dataset import save_views
 
     frame_of = _setting(job, "scene.frame")(_beside(job))
@@ -73,7 +72,7 @@ def reconstruct(job: Job, out: Path) -> dict:
         log.info("  the cameras' frame is kept as it is: %(name)s, unit %(unit)s", given.frame)
     else:
         frame = frame_of(model)
-        views = [View(view.name, frame.move(view.camera), view.image) for view in model.views()]
+        views = [replace(view, camera=frame.move(view.camera)) for view in model.views()]
         points, known = frame.apply(model.points), {"frame": frame.describe(), "original": frame.matrix @ original}
         metrics |= {f"frame_{key}": mm for key, mm in frame.describe().items() if key in ("residual_mm", "uncertainty_mm")}
         residual = ", residual %(frame_residual_mm).1f mm" % metrics if "frame_residual_mm" in metrics else ""

@@ -21,7 +21,7 @@ class Given:
 
 def model_of(job: Job, photographs: Path, out: Path, setting, progress: bool):
     """(Model in ``out``, Given or None where COLMAP had to find the cameras). setting(job, key): as in conf.pipeline."""
-    from scene import colmap, transforms
+    from scene import colmap, masks, transforms
     from scene.dataset import load_photographs
     from scene.inputs import recognise
 
@@ -37,7 +37,10 @@ def model_of(job: Job, photographs: Path, out: Path, setting, progress: bool):
             log.info("  %d sharp frames of %s in %s", len(files), source.path.name, job.capture / "photos")
         else:
             files = load_photographs(source.path)
-        return setting(job, "scene.colmap")(files, out, seed=job.cfg.scene.seed, progress=progress), None
+        given = masks.find(files)
+        if given:
+            log.info("  %d of %d photographs have a mask", len(given), len(files))
+        return setting(job, "scene.colmap")(files, out, seed=job.cfg.scene.seed, progress=progress, masks=given), None
     if source.kind == "colmap":
         return colmap.adopt(source.path, source.images, out, **size), Given()
     posed = transforms.read(source.path)

@@ -6,6 +6,7 @@ a process can be killed. What passes between the two is one JSON line in and fil
     <work>/images/<name>         the photographs undistorted, at most ``max_size`` px long, as the cameras of Model see
            colmap/sparse/0/      the model with the lens as it was estimated, for COLMAP
            colmap/model.npz      the Model
+           colmap/masks/         where the pictures are not to be looked at, for those that came with a mask
 
 Everything is in the model's own frame, which has no scale and any direction: scene.frame brings it to the robot.
 Cameras are pinholes; pixel (0, 0) is the top-left corner of the top-left pixel, as everywhere here.
@@ -31,7 +32,7 @@ from PIL import ExifTags, Image
 from tqdm import tqdm
 
 from scene.camera import Camera, View, invert
-from scene.dataset import FEWEST_PHOTOGRAPHS, inside, is_rotated, load_image, read_points, save_image
+from scene.dataset import FEWEST_PHOTOGRAPHS, MASKS, inside, is_rotated, load_image, read_mask, read_points, save_image, save_mask
 from scene.files import replacing
 from scene.transforms import Posed
 
@@ -82,7 +83,9 @@ class Model:
 
     def views(self) -> list[View]:
         """The undistorted pictures with their cameras, in the model's frame."""
-        return [View(*parts) for parts in zip(self.names, self.cameras, map(load_image, self.images), strict=True)]
+        files = [self.sparse.parents[2] / MASKS / f"{name}.png" for name in self.names]
+        masks = [read_mask(file) if file.is_file() else None for file in files]
+        return [View(*parts) for parts in zip(self.names, self.cameras, map(load_image, self.images), masks, strict=True)]
 
     @classmethod
     def load(cls, work: str | Path) -> "Model":
@@ -115,13 +118,14 @@ def reconstruct(
     max_size: int = 1024,
     threads: int = 1,
     progress: bool = True,
+    masks: Mapping[str, Path] | None = None,
 ) -> Model:
     """Register photographs (as scene.dataset.load_photographs lists them) with each other; write ``work``, see above.
 
     camera_model: COLMAP's name of the lens model. single_camera: all photographs were taken with one lens and zoom.
     features: at most so many in a photograph. feature_size: longest side [px] at which they are sought.
     max_size: longest side [px] of the undistorted pictures. threads: with 1 the same seed gives the same model, bit by
-    bit; more are faster. Raises ReconstructionFailed when fewer than three or fewer than half of the photographs join.
+    bit; more are faster. masks: {photograph's name: file}, see scene.masks. Raises ReconstructionFailed when fewer than three or fewer than half of the photographs join.
     """
     photographs, work = [Path(p).absolute() for p in photographs], Path(work)
     if len({p.stem for p in photographs}) < len(photographs):
@@ -134,6 +138,8 @@ def reconstruct(
     try:
         for path in photographs:
             _lay_out(path, unfinished / "photographs" / path.name)
+            if path.stem in (masks or {}):  # COLMAP wants the whole name before the ending
+                save_mask(unfinished / "masks" / f"{path.name}.png", read_mask(masks[path.stem]))
         settings = {
             "folder": str(unfinished.absolute()), "names": sorted(p.name for p in photographs), "seed": seed,
             "camera_model": camera_model, "single_camera": single_camera, "features": features,
@@ -159,6 +165,7 @@ def adopt(
     if isinstance(given, Posed):
         points, colours = read_points(given.ply) if given.ply else (np.empty((0, 3)), np.empty((0, 3)))
         settings |= {"names": given.names, "lenses": given.lenses, "poses": given.poses.tolist()}
+        settings |= {"masks": {name: str(path.absolute()) for name, path in given.masks.items()}}
         settings |= {"points": points.tolist(), "colours": colours.tolist()}
     else:
         _require_whole(Path(given))
@@ -327,10 +334,11 @@ def _solve(folder, names, seed, threads, max_size, say, **settings):
     straight = _adjust(pycolmap, best, max_size)
     (folder / "colmap" / "sparse" / "0").mkdir(parents=True)
     best.write(folder / "colmap" / "sparse" / "0")
-    _write_results(best, folder, names, max_size, straight, say)
+    masks = {path.stem: path for path in (folder / "masks").glob("*.png")}
+    _write_results(best, folder, names, max_size, straight, say, masks)
 
 
-def _adopt(folder, names, images, max_size, fewest, say, sparse=None, **given):
+def _adopt(folder, names, images, max_size, fewest, say, sparse=None, masks=None, **given):
     """Write what is known already as ``_solve`` writes what it has found."""
     pycolmap, folder, images = _pycolmap(), Path(folder), Path(images)
     pycolmap.logging.minloglevel = pycolmap.logging.FATAL.value
@@ -348,7 +356,8 @@ def _adopt(folder, names, images, max_size, fewest, say, sparse=None, **given):
     (folder / "colmap" / "sparse" / "0").mkdir(parents=True)
     model.write(folder / "colmap" / "sparse" / "0")
     straight = all(_bend(camera, max_size) < STRAIGHT for camera in model.cameras.values())
-    _write_results(model, folder, [image.name for image in model.images.values()], max_size, straight, say, images)
+    masks = {name: Path(path) for name, path in (masks or {}).items()}
+    _write_results(model, folder, [image.name for image in model.images.values()], max_size, straight, say, masks, images)
 
 
 def _built(pycolmap, names, lenses, poses, points, colours):
@@ -439,6 +448,8 @@ class _Run:
         options.sift.first_octave = -1 if self._longest_side() < UPSAMPLED else 0
         reader = self.pycolmap.ImageReaderOptions()
         reader.camera_model = camera_model
+        if (self.folder / "masks").is_dir():
+            reader.mask_path = self.folder / "masks"
         mode = self.pycolmap.CameraMode.SINGLE if single_camera else self.pycolmap.CameraMode.PER_IMAGE
         self.say(stage="features", count=0)
         for start in range(0, len(self.names), 4):
@@ -576,8 +587,8 @@ def _widest_pinhole(camera) -> np.ndarray:
     return K * [[high, 1, 1], [1, high, 1], [1, 1, 1]]
 
 
-def _write_results(model, folder, names, max_size, straight, say, photographs=None):
-    """The undistorted pictures, and model.npz. photographs: where they lie, if not in ``folder``."""
+def _write_results(model, folder, names, max_size, straight, say, masks, photographs=None):
+    """The undistorted pictures and masks ({picture's name: file}), and model.npz. photographs: where they lie, if not in ``folder``."""
     images = sorted((image for image in model.images.values() if image.has_pose), key=lambda image: image.name)
     pinhole = _pinhole if straight else _widest_pinhole
     lenses = {number: pinhole(camera) for number, camera in model.cameras.items()}
@@ -591,6 +602,10 @@ def _write_results(model, folder, names, max_size, straight, say, photographs=No
         source = (photographs or folder / "photographs") / image.name
         target = folder / "images" / _flat(image.name)
         files.append(_undistort(source, target, None if straight else lens, full, cameras[-1]))
+        if image.name in masks:
+            mask = np.uint8(255) * read_mask(masks[image.name])
+            seen = _resampled(mask, None if straight else lens, full, cameras[-1]) > 250  # what is partly ignored is ignored
+            save_mask(folder / MASKS / f"{_flat(image.name)}.png", seen)
         say(count=len(files))
     points = [model.points3D[number] for number in sorted(model.points3D)]
     registered = {image.name for image in images}
@@ -623,15 +638,20 @@ def _undistort(source, stem, lens, full, camera) -> Path:
     if unchanged and source.suffix.lower() in (".png", ".jpg", ".jpeg"):
         stem.parent.mkdir(exist_ok=True)
         return Path(shutil.copyfile(source, stem.with_name(stem.name + source.suffix)))
+    target = stem.with_name(f"{stem.name}.png")
+    save_image(target, _resampled(load_image(source), lens, full, camera))
+    return target
+
+
+def _resampled(picture, lens, full, camera) -> np.ndarray:
+    """A picture (H, W[, 3]) uint8 of a lens (None: a pinhole) as ``camera`` sees it."""
     import cv2
 
-    picture = cv2.resize(load_image(source), (camera.width, camera.height), interpolation=cv2.INTER_AREA)
+    picture = cv2.resize(picture, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
     if lens is not None:
         enlarged = np.array([full.width / camera.width, full.height / camera.height])
         seen = _through_lens(lens, full.K, camera.pixel_centres().reshape(-1, 2) * enlarged)
         seen = seen / enlarged - 0.5  # OpenCV: centres at whole numbers
         seen = seen.reshape(camera.height, camera.width, 2).astype(np.float32)
         picture = cv2.remap(picture, seen[..., 0], seen[..., 1], cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
-    target = stem.with_name(f"{stem.name}.png")
-    save_image(target, picture)
-    return target
+    return picture
