@@ -227,7 +227,7 @@ def plan(job: Job, out: Path) -> dict:
 
 def _obstacles(job: Job, skill, arm) -> dict:
     """The world that planning knows: the world's file, or what the photographs show."""
-    if not job.cfg.robot.obstacles:
+    if not job.settings("robot.obstacles"):
         if job.cfg.photos:
             log.warning("  note: planned among the obstacles of world %s, not of the photographs; robot/obstacles=reconstruction does that", job.cfg.world.name)
         return job.settings("world")
@@ -257,6 +257,8 @@ def execute(job: Job, out: Path) -> dict:
     chosen = Plan.load(job.run / "plan.npz")
     if not chosen.feasible:
         raise ValueError(f"the plan is not feasible, so it is not performed: {chosen.sentence}")
+    if job.cfg.photos:
+        raise ValueError("there is no simulated world of your own photographs to perform in: plan.npz and joint_trajectory.json are the motion")
     spec = job.settings("world")
     with World.from_spec(spec) as world:
         performed = _setting(job, "robot.execution")(chosen, _setting(job, "robot.arm"), world)
@@ -339,7 +341,7 @@ def _wanted(job: Job) -> list[str]:
     known = (*NAMES, "report")
     if job.cfg.stages is None:
         usual = ["reconstruct", "train", "render"] if job.cfg.photos else [name for name in known if name != "surface"]
-        return usual + ["surface"] * bool(job.cfg.robot.obstacles)
+        return usual + ["surface"] * bool(job.settings("robot.obstacles"))
     unknown = [name for name in job.cfg.stages if name not in known]
     if unknown or not job.cfg.stages:
         raise ValueError(f"unknown stage {', '.join(unknown) or '(none given)'}; there are {', '.join(known)}")
@@ -400,7 +402,7 @@ def _fingerprint(job: Job) -> dict[str, str]:
 
 def _pieces(job: Job) -> str | None:
     """The contents of what planning knows of space, if that is the reconstruction."""
-    if not job.cfg.robot.obstacles:
+    if not job.settings("robot.obstacles"):
         return None
     files = [job.capture / "space.npz", *sorted((job.capture / "collision").glob("*.obj"))]
     if len(files) == 1 or not files[0].is_file():

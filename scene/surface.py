@@ -127,9 +127,8 @@ def fuse(cameras: Sequence[Camera], images: Sequence[np.ndarray], measured: Sequ
 
     views: cameras that must have seen a voxel beside the surface. Raises ValueError where there is nothing to fuse.
     """
-    import open3d as o3d
-    from open3d import core
-
+    o3d = _open3d()
+    core = o3d.core
     attributes = ("tsdf", "weight", "color"), (core.float32,) * 3, ((1,), (1,), (3,))
     grid = o3d.t.geometry.VoxelBlockGrid(*attributes, voxel, 16, 10_000, core.Device("CPU:0"))
     for camera, image, depth in zip(cameras, images, measured, strict=True):
@@ -138,7 +137,7 @@ def fuse(cameras: Sequence[Camera], images: Sequence[np.ndarray], measured: Sequ
             continue
         shown = o3d.t.geometry.Image(core.Tensor(known))
         coloured = o3d.t.geometry.Image(core.Tensor(image.astype(np.float32) / 255))
-        K = core.Tensor(camera.K - [[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])  # Open3D counts from the first pixel's centre
+        K = core.Tensor(np.array(camera.K))  # Open3D cuts pixels off to whole numbers, so they begin at their corners, as here
         pose, farthest = core.Tensor(np.ascontiguousarray(camera.camera_from_world)), float(known.max()) + 1
         blocks = grid.compute_unique_block_coordinates(shown, K, pose, 1.0, farthest, TRUNCATION)
         grid.integrate(blocks, shown, coloured, K, K, pose, 1.0, farthest, TRUNCATION)
@@ -174,17 +173,25 @@ def pieces(mesh: Mesh, space: Space, concavity: float, voxel: float) -> tuple[tu
 
 
 def _open3d_mesh(mesh: Mesh):
-    import open3d as o3d
-
+    o3d = _open3d()
     return o3d.geometry.TriangleMesh(o3d.utility.Vector3dVector(mesh.vertices), o3d.utility.Vector3iVector(mesh.faces))
+
+
+def _open3d():
+    try:
+        import open3d
+    except (ImportError, OSError) as error:
+        needed = "sudo apt-get install libusb-1.0-0 libgl1 libegl1 libx11-6 libidn2-0"
+        raise OSError(f"Open3D, which makes the mesh, cannot be loaded: {error}; on Debian: {needed}") from error
+    return open3d
 
 
 def drawn(mesh: Mesh, camera: Camera, background=(250, 250, 250)) -> np.ndarray:
     """A picture (h, w, 3) uint8 of the mesh in its colours, half lit from above so that its shape shows."""
-    from open3d import core, t
-
+    o3d = _open3d()
+    core = o3d.core
     origins, directions = camera.rays(camera.pixel_centres())
-    scene = t.geometry.RaycastingScene()
+    scene = o3d.t.geometry.RaycastingScene()
     scene.add_triangles(core.Tensor(mesh.vertices.astype(np.float32)), core.Tensor(mesh.faces.astype(np.uint32)))
     hit = scene.cast_rays(core.Tensor(np.concatenate([origins, directions], -1).astype(np.float32)))
     there = np.isfinite(hit["t_hit"].numpy())
