@@ -114,6 +114,7 @@ def surface(job: Job, out: Path) -> dict:
     from scene.dataset import load_views, save_image
     from scene.field import Field
     from scene.paths import orbit
+    from scene.space import FREE, UNSEEN
     from scene.surface import drawn
 
     cameras = {view.name: view.camera for view in load_views(job.capture)}
@@ -122,7 +123,7 @@ def surface(job: Job, out: Path) -> dict:
     found.save(out)
     (around, *_) = orbit(list(cameras.values()), frames=1).cameras.values()
     save_image(out / "mesh.png", drawn(found.mesh, around.cropped(960, 720)))
-    free, unseen = (float((found.space.labels == label).mean()) for label in (1, 0))
+    free, unseen = (float((found.space.labels == label).mean()) for label in (FREE, UNSEEN))
     metrics = {"triangles": len(found.mesh.faces), "pieces": len(found.pieces), "free": free, "unseen": unseen}
     log.info("  %(triangles)d triangles, %(pieces)d convex pieces; of the space around, %(free).0f %% free, %(unseen).0f %% unseen",
              metrics | {"free": 100 * free, "unseen": 100 * unseen})  # fmt: skip

@@ -42,7 +42,7 @@ def unseen(space, path, around, near: float, free: float) -> np.ndarray:
     """(B, 2, 3) lowest and highest corners [m] of boxes that fill the voxels nobody has seen: within ``near`` of the path (N, 3), beyond
     ``free`` of the points ``around`` (M, 3)."""
     path, around = np.asarray(path, dtype=float).reshape(-1, 3), np.asarray(around, dtype=float).reshape(-1, 3)
-    unknown = np.argwhere(space.status(space.centres()) == 0)
+    unknown = np.argwhere(space.unseen)
     centres = space.lower + (unknown + 0.5) * space.voxel
     counts = cKDTree(path).query(centres, distance_upper_bound=near)[0] <= near
     counts &= cKDTree(around).query(centres, distance_upper_bound=free)[0] > free

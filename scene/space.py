@@ -38,6 +38,11 @@ class Space:
         """(3,) the highest corner [m]."""
         return self.lower + self.voxel * np.array(self.labels.shape)
 
+    @property
+    def unseen(self) -> np.ndarray:
+        """(nx, ny, nz) bool."""
+        return self.labels == UNSEEN
+
     def status(self, points) -> np.ndarray:
         """Points (..., 3) [m] -> (...,) uint8; what lies outside the box is UNSEEN."""
         index = np.floor((np.asarray(points, dtype=float) - self.lower) / self.voxel)
@@ -69,15 +74,15 @@ class Space:
     def load(cls, path: str | Path) -> "Space":
         """Read what ``save`` wrote. Raises FileNotFoundError, or ValueError for any other file."""
         if not Path(path).is_file():
-            raise FileNotFoundError(f"no {path}: scene.surface makes it from a trained field")
+            raise FileNotFoundError(f"no {path}: python -m scene.mesh makes it from a trained field")
         try:
             with np.load(path, allow_pickle=False) as file:
                 lower, voxel, labels = file["lower"].astype(float), float(file["voxel"]), file["labels"]
         except (ValueError, KeyError, TypeError, EOFError, OSError, BadZipFile) as error:
-            raise ValueError(f"{path} does not say what is free ({error}); make it anew with scene.surface") from None
+            raise ValueError(f"{path} does not say what is free ({error}); make it anew with scene.mesh") from None
         whole = lower.shape == (3,) and np.isfinite(lower).all() and 0 < voxel < np.inf and labels.ndim == 3
         if not (whole and labels.dtype == np.uint8 and labels.size <= MOST and (labels <= OCCUPIED).all()):
-            raise ValueError(f"{path} does not say what is free; make it anew with scene.surface")
+            raise ValueError(f"{path} does not say what is free; make it anew with scene.mesh")
         return cls(lower, voxel, labels)
 
 

@@ -50,7 +50,7 @@ class Mesh:
         import trimesh
 
         if not Path(path).is_file():
-            raise FileNotFoundError(f"no mesh {path}: scene.surface makes it from a trained field")
+            raise FileNotFoundError(f"no mesh {path}: python -m scene.mesh makes it from a trained field")
         try:
             mesh = trimesh.load(path, file_type="ply", process=False)
             colours = np.asarray(mesh.visual.vertex_colors)[:, :3]

@@ -53,7 +53,7 @@ def test_what_is_saved_is_read_and_other_files_are_refused(tmp_path):
     again = Space.load(tmp_path / "space.npz")
     np.testing.assert_array_equal(again.labels, space.labels)
     assert (again.lower == space.lower).all() and again.voxel == space.voxel
-    with pytest.raises(FileNotFoundError, match="scene.surface makes it"):
+    with pytest.raises(FileNotFoundError, match="scene.mesh makes it"):
         Space.load(tmp_path / "other.npz")
     for labels in (np.full((2, 2, 2), 7, np.uint8), np.zeros((2, 2), np.uint8), np.array([{"a": 1}], dtype=object)):
         np.savez(tmp_path / "bad.npz", lower=np.zeros(3), voxel=0.1, labels=labels)
