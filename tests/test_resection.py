@@ -11,7 +11,8 @@ from scene.apriltag import TagLayout
 from scene.camera import Camera, look_at
 from scene.colmap import ReconstructionFailed
 from scene.dataset import save_image
-from scene.resection import resect, solve
+from scene.pnp import solve
+from scene.resection import resect
 
 SIZE = (640, 480)
 
