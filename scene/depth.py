@@ -7,10 +7,9 @@ Notation
 
     confidence = T(d - w) - T(d + w)
 
-is the share of the ray's light that comes from within w of the median: 1 for a clean opaque surface, exp(-s)-like little
-in fog, 0 where the ray meets nothing. Since T(d) = 1/2, it takes only the two short stretches beside d:
-T(d - w) = 1/2 / T(d - w -> d) and T(d + w) = 1/2 T(d -> d + w).
-"""
+is the share of the ray's light that comes from within w of the median: 1 for a clean opaque surface, exp(-s)-like
+little in fog, 0 where the ray meets nothing. Since T(d) = 1/2, it takes only the two short stretches beside d: T(d - w)
+= 1/2 / T(d - w -> d) and T(d + w) = 1/2 T(d -> d + w). """
 
 import numpy as np
 
@@ -19,7 +18,8 @@ from scene.field import FAR, Field
 
 
 def render(field: Field, camera: Camera, within: float = 0.01) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """`Field.render`'s picture (h, w, 3) uint8 and median depth (h, w) [m along z], and the depth's confidence (h, w) in [0, 1].
+    """`Field.render`'s picture (h, w, 3) uint8 and median depth (h, w) [m along z], and the depth's confidence (h, w)
+    in [0, 1].
 
     within: the tolerance w, as a share of the depth.
     """
@@ -40,7 +40,8 @@ def confidence(field: Field, camera: Camera, depth: np.ndarray, within: float = 
 
 
 def passes(field: Field, camera: Camera, depth: np.ndarray) -> np.ndarray:
-    """(h, w) float32: the share of light that passes the whole scene where no median depth (h, w) was found, elsewhere 0."""
+    """(h, w) float32: the share of light that passes the whole scene where no median depth (h, w) was found, elsewhere
+    0."""
     lost = ~np.isfinite(depth)
     origins, directions = camera.rays(camera.pixel_centres()[lost])
     found = np.zeros(depth.shape, np.float32)

@@ -1,6 +1,6 @@
 """What of a photograph is not to be looked at: people, reflections, the robot itself.
 
-    masks/<name>.png        beside the photographs or in their folder, named like them: black is ignored (nerfstudio's convention)
+    masks/<name>.png        beside the photographs or in their folder, named like them: black is ignored, as in nerfstudio
 
 Ignored pixels get no features in COLMAP and teach the field nothing. A photograph without a mask is used whole.
 """
@@ -20,7 +20,8 @@ def find(photographs: Sequence[Path]) -> dict[str, Path]:
     """
     if not photographs:
         return {}
-    folder = next((f for f in (photographs[0].parent / FOLDER, photographs[0].parent.parent / FOLDER) if f.is_dir()), None)
+    places = photographs[0].parent / FOLDER, photographs[0].parent.parent / FOLDER
+    folder = next((place for place in places if place.is_dir()), None)
     if folder is None:
         return {}
     files = sorted(p for p in folder.iterdir() if p.suffix.lower() in EXTENSIONS and not p.name.startswith("."))
@@ -28,8 +29,8 @@ def find(photographs: Sequence[Path]) -> dict[str, Path]:
     named = {_name(path, names): path for path in files}
     strangers = [path.name for name, path in named.items() if name not in names]
     if strangers:
-        there = ", ".join(list(names)[:3])
-        raise ValueError(f"{folder} holds masks of no photograph: {', '.join(strangers[:6])}; photographs are {there}, ...")
+        which, there = ", ".join(strangers[:6]), ", ".join(list(names)[:3])
+        raise ValueError(f"{folder} holds masks of no photograph: {which}; photographs are {there}, ...")
     for name, path in named.items():
         check(path, load_image(names[name]).shape[:2])
     return named

@@ -4,10 +4,9 @@ Notation
     forbidden   points of free space; a piece may contain none of them
     hull        of a part of the mesh: its convex hull, with the surface thickened to the inside
 
-Parts are cut in two, along the axis and at the place that leave the fewest forbidden points inside the two hulls, until none
-is left; then neighbours are joined again wherever their common hull contains none either. What lies behind a surface is not
-known to be free, so things become solid, whereas hollows that were looked into stay open.
-"""
+Parts are cut in two, along the axis and at the place that leave the fewest forbidden points inside the two hulls, until
+none is left; then neighbours are joined again wherever their common hull contains none either. What lies behind a
+surface is not known to be free, so things become solid, whereas hollows that were looked into stay open. """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -39,9 +38,8 @@ def convex_pieces(
 ) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
     """Convex meshes (vertices (V, 3), faces (F, 3), anticlockwise from outside) whose union covers the mesh.
 
-    vertices (V, 3) and faces (F, 3): the mesh; forbidden: (N, 3) points. thickness: by which surfaces are thickened to the
-    inside; smallest: parts of less extent are cut no further, whatever they contain. All lengths in one unit.
-    """
+    vertices (V, 3) and faces (F, 3): the mesh; forbidden: (N, 3) points. thickness: by which surfaces are thickened to
+    the inside; smallest: parts of less extent are cut no further, whatever they contain. All lengths in one unit. """
     normals = _normals(vertices, faces)
     solid = np.concatenate([vertices, vertices - thickness * normals])
     middles = vertices[faces].mean(1)

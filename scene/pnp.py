@@ -6,9 +6,9 @@ Notation
     minimised        sum_k rho(|project(X_k) - p_k|^2)   over all photographs' R, o, and f unless it is given;
                      plus ((log f - log f_exif) / 0.1)^2 where the photographs' EXIF tells a focal length
 
-A plane seen almost head-on, or small, is explained by two poses (Oberkampf, DeMenthon, Davis 1996); where both fit alike, the
-photograph is refused. How far cameras may be off follows from the derivative of the residuals, as scene.frame has it.
-"""
+A plane seen almost head-on, or small, is explained by two poses (Oberkampf, DeMenthon, Davis 1996); where both fit
+alike, the photograph is refused. How far cameras may be off follows from the derivative of the residuals, as
+scene.frame has it. """
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -47,9 +47,8 @@ class _Photograph:
 class Solved:
     """Cameras {photograph: world_from_camera (4, 4)}, and how well they are known.
 
-    focal [px] and focal_from, what it rests on. residuals_mm: {photograph: rms distance at the tags}; residual_px: rms over
-    all corners; uncertainties_mm: {photograph: by how much its camera may be off}. tags: that agree.
-    """
+    focal [px] and focal_from, what it rests on. residuals_mm: {photograph: rms distance at the tags}; residual_px: rms
+    over all corners; uncertainties_mm: {photograph: by how much its camera may be off}. tags: that agree. """
 
     poses: Mapping[str, np.ndarray]
     focal: float
@@ -62,24 +61,32 @@ class Solved:
 
     def describe(self, layout: TagLayout) -> dict:
         """The frame as transforms.json keeps it (scene.dataset.save_views)."""
-        numbered = f"tag{'s' if len(self.tags) > 1 else ''} {', '.join(map(str, self.tags))} of {1000 * layout.size:.0f} mm"
+        many = "s" if len(self.tags) > 1 else ""
+        numbered = f"tag{many} {', '.join(map(str, self.tags))} of {1000 * layout.size:.0f} mm"
+        alone = f"{numbered} in {len(self.poses)} photographs alone"
+        residuals = list(self.residuals_mm.values())
         return {
             "name": "robot base", "unit": "m", "used": list(self.tags), "warnings": list(self.warnings),
-            "rests_on": f"{numbered} in {len(self.poses)} photographs alone; focal length {self.focal:.0f} px {self.focal_from}",
-            "residual_px": self.residual_px, "residual_mm": float(np.sqrt(np.mean(np.square(list(self.residuals_mm.values()))))),
+            "rests_on": f"{alone}; focal length {self.focal:.0f} px {self.focal_from}",
+            "residual_px": self.residual_px, "residual_mm": float(np.sqrt(np.mean(np.square(residuals)))),
             "uncertainty_mm": max(self.uncertainties_mm.values()), "residuals_mm": dict(self.residuals_mm),
             "uncertainties_mm": dict(self.uncertainties_mm),
         }  # fmt: skip
 
 
 def solve(found, layout: TagLayout, size, K=None, prior: float | None = None) -> Solved:
-    """found: {photograph: {tag: corners (4, 2) px of a pinhole}}; K (3, 3) if it is known, else prior: EXIF's focal length [px]."""
+    """found: {photograph: {tag: corners (4, 2) px of a pinhole}}; K (3, 3) if it is known, else prior: EXIF's focal
+    length [px]."""
     corners = layout.corners()
     wrong = _contradicting(found, corners, size, K, prior)
     kept = {name: {n: c for n, c in tags.items() if n not in wrong} for name, tags in found.items()}
     kept = {name: tags for name, tags in kept.items() if tags}
     if len(kept) < 2:
-        raise ReconstructionFailed(f"without the tags that contradict others ({', '.join(map(str, wrong))}) only {len(kept)} photographs are left")
+        without = ", ".join(map(str, wrong))
+        raise ReconstructionFailed(
+            f"without the tags that contradict others ({without}) only {len(kept)} photographs are left; measure their "
+            "places again"
+        )
     start = K if K is not None else _pinhole(prior or _likely_focal(kept, corners, size), size)
     photographs = [_placed(name, tags, corners, start) for name, tags in kept.items()]
     photographs, K, J, errors = _refine(photographs, start, free=K is None, prior=prior)
@@ -96,7 +103,8 @@ def solve(found, layout: TagLayout, size, K=None, prior: float | None = None) ->
     focal_from, warnings = _judged_focal(deviations[-1] if J.shape[1] % 6 else None, prior)
     if wrong:
         warnings += (f"left out, as they do not lie where the layout says: tag {', '.join(map(str, wrong))}",)
-    warnings += tuple(f"{_shows(p)}: its camera may be off by {off[p.name]:.0f} mm" for p in photographs if off[p.name] > SAID_MM)
+    unsure = [p for p in photographs if off[p.name] > SAID_MM]
+    warnings += tuple(f"{_shows(p)}: its camera may be off by {off[p.name]:.0f} mm" for p in unsure)
     return Solved(
         {p.name: p.pose for p in photographs}, float(K[0, 0]), focal_from, tuple(sorted(set().union(*kept.values()))),
         float(np.sqrt(2 * (errors**2).mean())), {p.name: _residual_mm(p, K) for p in photographs}, off, warnings,
@@ -116,7 +124,8 @@ def _contradicting(found, corners, size, K, prior) -> list[int]:
     if together and 2 * len(wrong) >= len(together):
         raise ReconstructionFailed(
             f"the tags do not lie as the layout says: of {len(together)} tags ({', '.join(map(str, sorted(together)))}) "
-            f"{len(together) - len(wrong)} agree; measure their places and their size (black square) again, or give scene.resection.camera"
+            f"{len(together) - len(wrong)} agree; measure their places and their size (black square) again, or give "
+            "scene.resection.camera"
         )
     return wrong
 
@@ -138,7 +147,8 @@ def _agreeing(tags, corners, K) -> set[int]:
 
 
 def _poses(places, pixels, K) -> list[tuple[np.ndarray, float]]:
-    """Poses world_from_camera (4, 4) that explain the pixels, refined, with their rms [px], best first; two of a plane."""
+    """Poses world_from_camera (4, 4) that explain the pixels, refined, with their rms [px], best first; two of a
+    plane."""
     import cv2
 
     flat = np.linalg.svd(places - places.mean(0), compute_uv=False)[2] < 1e-3 * np.ptp(places, axis=0).max()
@@ -159,7 +169,8 @@ def _placed(name, tags, corners, K) -> _Photograph:
     places, pixels = np.concatenate([corners[n] for n in tags]), np.concatenate(list(tags.values()))
     poses = _poses(places, pixels, K)
     if not poses:
-        raise ReconstructionFailed(f"photograph {name}: no pose explains tag {', '.join(map(str, tags))}; photograph it again")
+        shown = ", ".join(map(str, tags))
+        raise ReconstructionFailed(f"photograph {name}: no pose explains tag {shown}; photograph it again")
     return _Photograph(name, tuple(tags), places, pixels, poses[0][0])
 
 
@@ -169,14 +180,16 @@ def _likely_focal(found, corners, size) -> float:
 
     def cost(focal):
         K = _pinhole(focal, size)
-        poses = [_poses(np.concatenate([corners[n] for n in t]), np.concatenate(list(t.values())), K) for t in found.values()]
+        places = [np.concatenate([corners[n] for n in tags]) for tags in found.values()]
+        poses = [_poses(X, np.concatenate(list(tags.values())), K) for X, tags in zip(places, found.values())]
         return sum(min(p[0][1], 20.0) if p else 20.0 for p in poses)
 
     return float(min(scale, key=cost))
 
 
 def _refine(photographs, K, free: bool, prior: float | None):
-    """All poses, and the focal length if it is free, by robust least squares; (photographs, K, derivative, residuals [px])."""
+    """All poses, and the focal length if it is free, by robust least squares; (photographs, K, derivative, residuals
+    [px])."""
     from scipy.optimize import least_squares
     from scipy.sparse import lil_matrix
     from scipy.spatial.transform import Rotation
@@ -205,10 +218,10 @@ def _refine(photographs, K, free: bool, prior: float | None):
     if free:
         sparsity[:, -1] = 1
     start = np.zeros(6 * len(photographs) + free)
-    best = least_squares(errors, start, loss="soft_l1", f_scale=0.5, x_scale="jac", jac_sparsity=sparsity, tr_solver="exact" if len(start) < 7 else None)
+    best = least_squares(errors, start, loss="soft_l1", f_scale=0.5, x_scale="jac", jac_sparsity=sparsity)
     poses, lens = moved(best.x)
-    J = best.jac.toarray() if hasattr(best.jac, "toarray") else best.jac
-    return [replace(p, pose=pose) for p, pose in zip(photographs, poses)], lens, J, errors(best.x)[: rows[-1]]
+    refined = [replace(p, pose=pose) for p, pose in zip(photographs, poses)]
+    return refined, lens, best.jac.toarray(), errors(best.x)[: rows[-1]]
 
 
 def _judged_focal(deviation: float | None, prior: float | None) -> tuple[str, tuple[str, ...]]:
@@ -219,23 +232,26 @@ def _judged_focal(deviation: float | None, prior: float | None) -> tuple[str, tu
     advice = "photograph more tags, larger and at a slant, or give scene.resection.camera"
     if deviation > LOOSE:
         raise ReconstructionFailed(f"the focal length {source} stays open ({100 * deviation:.0f} %): {advice}")
-    loose = (f"the focal length {source} is known to {100 * deviation:.1f} % only: {advice}",) if deviation > LOOSE / 4 else ()
-    return f"{source}, known to {100 * deviation:.1f} %", loose
+    known = f"known to {100 * deviation:.1f} %"
+    return f"{source}, {known}", (f"the focal length {source} is {known} only: {advice}",) * (deviation > LOOSE / 4)
 
 
 def _shows(photograph: _Photograph) -> str:
     squares = photograph.pixels.reshape(-1, 4, 2)
     edge = np.linalg.norm(squares - np.roll(squares, 1, axis=1), axis=-1).max()
     many = "s" if len(photograph.tags) > 1 else ""
-    return f"photograph {photograph.name} shows tag{many} {', '.join(map(str, photograph.tags))}, at most {edge:.0f} px wide"
+    tags = ", ".join(map(str, photograph.tags))
+    return f"photograph {photograph.name} shows tag{many} {tags}, at most {edge:.0f} px wide"
 
 
 def _refusal(photograph: _Photograph, off_mm: float, K, noise: float) -> str:
     """Why a photograph's camera is not known, empty where it is: too uncertain, or two poses explain it alike."""
     if not off_mm <= USELESS_MM:
         by = f"may be off by {off_mm:.0f} mm" if off_mm < 1e4 else "stays open"
-        again = f"; corners miss their places by {noise:.1f} px, are these and the size right?" if noise > BAD_PX else ""
-        return f"{_shows(photograph)}: its camera {by}; go nearer, show more tags, spread wider, or give scene.resection.camera{again}"
+        advice = "go nearer, show more tags, spread wider, or give scene.resection.camera"
+        if noise > BAD_PX:
+            advice += f"; corners miss their places by {noise:.1f} px, are these and the size right?"
+        return f"{_shows(photograph)}: its camera {by}; {advice}"
     poses = _poses(photograph.places, photograph.pixels, K)
     if len(poses) < 2 or poses[1][1] > TWOFOLD * max(poses[0][1], noise):
         return ""

@@ -1,8 +1,7 @@
 """Cameras from AprilTags alone: two photographs are enough, and no COLMAP (the paper's set-up with a real robot).
 
-What is found is known as far as the photographs show tags (scene.pnp); the focal length comes from a camera file, or else from the tags
-and the photographs' EXIF.
-"""
+What is found is known as far as the photographs show tags (scene.pnp); the focal length comes from a camera file, or
+else from the tags and the photographs' EXIF. """
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -21,13 +20,15 @@ from scene.transforms import Posed, lens_of
 FULL_FRAME_DIAGONAL = 43.27  # mm, which EXIF's equivalent focal lengths refer to
 
 
-def resect(photographs: Sequence[Path], layout: TagLayout, work: str | Path, *, camera: str | Path | None = None) -> Posed:
-    """Photographs (one camera, one size) with tags -> their cameras in the robot's base; upright copies lie in ``work``.
+def resect(
+    photographs: Sequence[Path], layout: TagLayout, work: str | Path, *, camera: str | Path | None = None
+) -> Posed:
+    """Photographs (one camera, one size) with tags -> their cameras in the robot's base; upright copies lie in
+    ``work``.
 
     camera: a JSON file of intrinsics, with transforms.json's keys; without it the focal length comes from the tags and
-    EXIF. Raises ReconstructionFailed where fewer than two photographs show tags, tags contradict each other, or a pose or the
-    focal length stays open; ValueError for a broken camera file.
-    """
+    EXIF. Raises ReconstructionFailed where fewer than two photographs show tags, tags contradict each other, or a pose
+    or the focal length stays open; ValueError for a broken camera file. """
     root = Path(work) / "upright"
     files = {path.stem: _upright(path, root) for path in photographs}
     pictures = {name: load_image(path) for name, path in files.items()}
@@ -36,15 +37,17 @@ def resect(photographs: Sequence[Path], layout: TagLayout, work: str | Path, *, 
     blind = [name for name in found if not found[name]]
     if len(found) - len(blind) < 2:
         raise ReconstructionFailed(
-            f"{len(found) - len(blind)} of {len(found)} photographs show a tag of the layout ({', '.join(map(str, layout.ids))}), "
-            f"and two are needed: check the numbers in tags.json, and photograph the tags larger and sharper"
+            f"{len(found) - len(blind)} of {len(found)} photographs show a tag of the layout "
+            f"({', '.join(map(str, layout.ids))}), and two are needed: check the numbers in "
+            "tags.json, and photograph the tags larger and sharper"
         )
     lens = _lens(camera, width, height)
     prior = None if lens else _exif_focal(photographs, width, height)
     shown = {name: corners for name, corners in found.items() if corners}
     straight = {name: {n: _straightened(c, lens) for n, c in corners.items()} for name, corners in shown.items()}
     solved = solve(straight, layout, (width, height), lens and _matrix(lens), prior)
-    lens = lens or {"model": "PINHOLE", "width": width, "height": height, "params": [solved.focal] * 2 + [width / 2, height / 2]}
+    pinhole = [solved.focal, solved.focal, width / 2, height / 2]
+    lens = lens or {"model": "PINHOLE", "width": width, "height": height, "params": pinhole}
     if blind:
         solved = replace(solved, warnings=(*solved.warnings, f"left out, as they show no tag: {', '.join(blind)}"))
     ply = root / "corners.ply"
@@ -92,7 +95,7 @@ def _lens(file: str | Path | None, width: int, height: int) -> dict | None:
     scaled = {key: scale * said[key] for key in ("fl_x", "fl_y", "cx", "cy") if key in said}
     lens = lens_of(said | scaled | {"w": width, "h": height}, str(file))
     if lens["model"] == "OPENCV_FISHEYE":
-        raise ValueError(f"{file}: cameras from tags alone need a lens without fisheye; undistort the photographs first")
+        raise ValueError(f"{file}: a fisheye lens is not read here; undistort the photographs first")
     return lens
 
 

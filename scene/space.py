@@ -26,8 +26,8 @@ MOST = 40_000_000
 
 @dataclass(frozen=True, eq=False)
 class Space:
-    """A box of cubic voxels. lower: (3,) its lowest corner [m]; voxel: their edge [m]; labels: (nx, ny, nz) uint8, UNSEEN, FREE or
-    OCCUPIED."""
+    """A box of cubic voxels. lower: (3,) its lowest corner [m]; voxel: their edge [m]; labels: (nx, ny, nz) uint8,
+    UNSEEN, FREE or OCCUPIED."""
 
     lower: np.ndarray
     voxel: float
@@ -56,7 +56,8 @@ class Space:
         return np.stack(np.meshgrid(*axes, indexing="ij"), -1)
 
     def boxes(self, chosen: np.ndarray) -> np.ndarray:
-        """(B, 2, 3) lowest and highest corners [m] of few boxes that fill the chosen voxels (nx, ny, nz) and no others."""
+        """(B, 2, 3) lowest and highest corners [m] of few boxes that fill the chosen voxels (nx, ny, nz) and no
+        others."""
         left, found = chosen.copy(), []
         for start in np.argwhere(chosen):
             if left[tuple(start)]:
@@ -87,13 +88,18 @@ class Space:
 
 
 def carve(
-    cameras: Sequence[Camera], depths: Sequence[np.ndarray], surface: np.ndarray, lower, upper, voxel: float, least: int = 2
+    cameras: Sequence[Camera],
+    depths: Sequence[np.ndarray],
+    surface: np.ndarray,
+    lower,
+    upper,
+    voxel: float,
+    least: int = 2,
 ) -> Space:
     """Free, occupied and unseen voxels of the box between two corners (3,) [m].
 
-    depths: for each camera (h, w) [m along z] of what it sees; inf: nothing, nan: not known. surface: (N, 3) points of all
-    surfaces, no further from each other than a voxel. least: cameras that must look past a voxel.
-    """
+    depths: for each camera (h, w) [m along z] of what it sees; inf: nothing, nan: not known. surface: (N, 3) points of
+    all surfaces, no further from each other than a voxel. least: cameras that must look past a voxel. """
     lower, upper = np.asarray(lower, dtype=float), np.asarray(upper, dtype=float)
     shape = np.maximum(np.ceil((upper - lower) / voxel - 1e-9).astype(int), 1)
     if np.prod(shape.astype(float)) > MOST:

@@ -3,8 +3,9 @@
     depth with confidence from the photographs' cameras (scene.depth) ─ TSDF fusion ─ cleaned mesh ─ convex pieces
                                                                       └ rays carve space (scene.space)
 
-Fusion averages the signed distance to all depths within a truncation (Curless, Levoy 1996). Only depth of which the field is
-sure goes in, a surface must be seen by two cameras, and none is made where no camera has looked: holes stay holes.
+Fusion averages the signed distance to all depths within a truncation (Curless, Levoy 1996). Only depth of which the
+field is sure goes in, a surface must be seen by two cameras, and none is made where no camera has looked: holes stay
+holes.
 
 Metres, the frame of the cameras. Open3D is imported here only, and late.
 """
@@ -42,7 +43,8 @@ class Mesh:
         import trimesh
 
         with replacing(path) as temporary:
-            trimesh.Trimesh(self.vertices, self.faces, vertex_colors=self.colours, process=False).export(temporary, "ply")
+            made = trimesh.Trimesh(self.vertices, self.faces, vertex_colors=self.colours, process=False)
+            made.export(temporary, "ply")
 
     @classmethod
     def load(cls, path: str | Path) -> "Mesh":
@@ -92,21 +94,22 @@ def build(
     concavity: float = 0.01,
     progress=None,
 ) -> Surface:
-    """The surface that a field (scene.field.Field) shows to the photographs' cameras, by name. Depth pictures are kept in
-    ``folder``: a killed job goes on from there.
+    """The surface that a field (scene.field.Field) shows to the photographs' cameras, by name. Depth pictures are kept
+    in ``folder``: a killed job goes on from there.
 
-    width [px]: of the depth pictures. voxel [m]: of fusion; None: 1/128 of half the field's box. confidence: depth below it is left
-    out. views: cameras that must have seen a surface, and must look through what is free. smallest [m]: pieces of
-    surface of less than a square of this edge are taken for dirt. coarse: edge of the voxels of space, in those of fusion.
-    concavity [m]: how deep convex pieces may reach into free space. Raises ValueError where the field shows no surface.
-    """
+    width [px]: of the depth pictures. voxel [m]: of fusion; None: 1/128 of half the field's box. confidence: depth
+    below it is left out. views: cameras that must have seen a surface, and must look through what is free. smallest
+    [m]: pieces of surface of less than a square of this edge are taken for dirt. coarse: edge of the voxels of space,
+    in those of fusion. concavity [m]: how deep convex pieces may reach into free space. Raises ValueError where the
+    field shows no surface. """
     voxel = field.half / 128 if voxel is None else voxel
-    small = {name: camera.resized(width, round(camera.height * width / camera.width)) for name, camera in cameras.items()}
-    seen = [_seen(field, camera, Path(folder) / f"{name}.npz", confidence) for name, camera in (progress or iter)(small.items())]
+    small = [camera.resized(width, round(camera.height * width / camera.width)) for camera in cameras.values()]
+    files = [Path(folder) / f"{name}.npz" for name in cameras]
+    seen = [_seen(field, camera, file, confidence) for camera, file in (progress or iter)(list(zip(small, files)))]
     pictures, measured = zip(*seen)
-    mesh = cleaned(fuse(list(small.values()), pictures, measured, voxel, views), smallest)
+    mesh = cleaned(fuse(small, pictures, measured, voxel, views), smallest)
     corners = field.centre - field.half, field.centre + field.half
-    space = carve(list(small.values()), measured, mesh.vertices, *corners, coarse * voxel, views)
+    space = carve(small, measured, mesh.vertices, *corners, coarse * voxel, views)
     return Surface(mesh, pieces(mesh, space, concavity, voxel), space)
 
 
@@ -122,7 +125,9 @@ def _seen(field, camera: Camera, path: Path, least: float) -> tuple[np.ndarray, 
         return file["image"], file["depth"]
 
 
-def fuse(cameras: Sequence[Camera], images: Sequence[np.ndarray], measured: Sequence[np.ndarray], voxel: float, views: int = 2) -> Mesh:
+def fuse(
+    cameras: Sequence[Camera], images: Sequence[np.ndarray], measured: Sequence[np.ndarray], voxel: float, views: int = 2
+) -> Mesh:
     """TSDF fusion of pictures (h, w, 3) uint8 with depth (h, w) [m along z; nan, inf: none] to a mesh of ``voxel`` [m].
 
     views: cameras that must have seen a voxel beside the surface. Raises ValueError where there is nothing to fuse.
@@ -137,11 +142,12 @@ def fuse(cameras: Sequence[Camera], images: Sequence[np.ndarray], measured: Sequ
             continue
         shown = o3d.t.geometry.Image(core.Tensor(known))
         coloured = o3d.t.geometry.Image(core.Tensor(image.astype(np.float32) / 255))
-        K = core.Tensor(np.array(camera.K))  # Open3D cuts pixels off to whole numbers, so they begin at their corners, as here
+        K = core.Tensor(np.array(camera.K))  # Open3D rounds pixels down, so they begin at their corners, as here
         pose, farthest = core.Tensor(np.ascontiguousarray(camera.camera_from_world)), float(known.max()) + 1
         blocks = grid.compute_unique_block_coordinates(shown, K, pose, 1.0, farthest, TRUNCATION)
         grid.integrate(blocks, shown, coloured, K, K, pose, 1.0, farthest, TRUNCATION)
-    made = grid.extract_triangle_mesh(float(views)).to_legacy() if grid.hashmap().size() else o3d.geometry.TriangleMesh()
+    none = grid.hashmap().size() == 0
+    made = o3d.geometry.TriangleMesh() if none else grid.extract_triangle_mesh(float(views)).to_legacy()
     if not len(made.triangles):
         raise ValueError(
             f"the field shows no surface that {views} of {len(cameras)} cameras are sure of: train it longer, or lower "
@@ -152,7 +158,8 @@ def fuse(cameras: Sequence[Camera], images: Sequence[np.ndarray], measured: Sequ
 
 
 def cleaned(mesh: Mesh, smallest: float) -> Mesh:
-    """The mesh without connected parts of less area than a square of edge ``smallest`` [m]; the largest part always stays."""
+    """The mesh without connected parts of less area than a square of edge ``smallest`` [m]; the largest part always
+    stays."""
     made = _open3d_mesh(mesh)
     part, _, area = (np.asarray(v) for v in made.cluster_connected_triangles())
     faces = mesh.faces[area[part] >= min(smallest**2, area.max())]
