@@ -233,7 +233,7 @@ def _judged_focal(deviation: float | None, prior: float | None) -> tuple[str, tu
     if deviation > LOOSE:
         raise ReconstructionFailed(f"the focal length {source} stays open ({100 * deviation:.0f} %): {advice}")
     known = f"known to {100 * deviation:.1f} %"
-    return f"{source}, {known}", (f"the focal length {source} is {known} only: {advice}",) * (deviation > LOOSE / 4)
+    return f"{source}, {known}", (f"the focal length {source} is {known} only: {advice}",) * bool(deviation > LOOSE / 4)
 
 
 def _shows(photograph: _Photograph) -> str:
