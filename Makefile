@@ -15,6 +15,7 @@ $(VENV)/.installed: pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import ensurepip' 2>/dev/null || sh .ci/system-packages python3.11-venv
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check $(PIP_FLAGS) -c constraints.txt -e .
+	@$(BIN)/python -c 'import open3d' 2>/dev/null || sh .ci/system-packages libusb-1.0-0 libgl1 libegl1 libx11-6 libidn2-0
 	@touch $@
 
 install-test: $(VENV)/.installed-test

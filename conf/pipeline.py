@@ -14,6 +14,7 @@ import logging
 import os
 import sys
 import time
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -52,7 +53,6 @@ def reconstruct(job: Job, out: Path) -> dict:
 
     from conf.evaluation import camera_errors
     from conf.reconstruction import model_of
-    from scene.camera import View
     from scene.dataset import save_views
 
     frame_of = _setting(job, "scene.frame")(_beside(job))
@@ -71,7 +71,7 @@ def reconstruct(job: Job, out: Path) -> dict:
         log.info("  the cameras' frame is kept as it is: %(name)s, unit %(unit)s", given.frame)
     else:
         frame = frame_of(model)
-        views = [View(view.name, frame.move(view.camera), view.image) for view in model.views()]
+        views = [replace(view, camera=frame.move(view.camera)) for view in model.views()]
         points, known = frame.apply(model.points), {"frame": frame.describe(), "original": frame.matrix @ original}
         metrics |= {f"frame_{key}": mm for key, mm in frame.describe().items() if key in ("residual_mm", "uncertainty_mm")}
         residual = ", residual %(frame_residual_mm).1f mm" % metrics if "frame_residual_mm" in metrics else ""
@@ -106,6 +106,27 @@ def split(views) -> tuple[list, list]:
     """Training views and held-out views: every eighth by name (i % 8 == 4)."""
     by_name = sorted(views, key=lambda view: view.name)
     return [v for i, v in enumerate(by_name) if i % 8 != 4], [v for i, v in enumerate(by_name) if i % 8 == 4]
+
+
+def surface(job: Job, out: Path) -> dict:
+    """The field becomes a mesh, convex pieces for planning, and what of space is free, occupied, unseen."""
+    from scene.dataset import load_views, save_image
+    from scene.field import Field
+    from scene.paths import orbit
+    from scene.space import FREE, UNSEEN
+    from scene.surface import drawn
+
+    cameras = {view.name: view.camera for view in load_views(job.capture)}
+    field = Field.load(job.capture / "field.pt")
+    found = _setting(job, "scene.surface")(field, cameras, out / "depths", progress=partial(_progress, title="depth"))
+    found.save(out)
+    (around, *_) = orbit(list(cameras.values()), frames=1).cameras.values()
+    save_image(out / "mesh.png", drawn(found.mesh, around.cropped(960, 720)))
+    free, unseen = (float((found.space.labels == label).mean()) for label in (FREE, UNSEEN))
+    metrics = {"triangles": len(found.mesh.faces), "pieces": len(found.pieces), "free": free, "unseen": unseen}
+    log.info("  %(triangles)d triangles, %(pieces)d convex pieces; of the space around, %(free).0f %% free, %(unseen).0f %% unseen",
+             metrics | {"free": 100 * free, "unseen": 100 * unseen})  # fmt: skip
+    return metrics
 
 
 def render(job: Job, out: Path) -> dict:
@@ -196,7 +217,7 @@ def plan(job: Job, out: Path) -> dict:
 
     skill = Skill.load(job.run / "skill.npz")
     arm = _setting(job, "robot.arm")
-    with World.from_spec(job.settings("world")) as world:
+    with World.from_spec(_obstacles(job, skill, arm)) as world:
         chosen = _setting(job, "robot.planner")(skill, arm, world, start=arm.home, seed=job.cfg.seed)
     chosen.save(out / "plan.npz")
     write_json(out / "joint_trajectory.json", chosen.joint_trajectory())
@@ -213,6 +234,26 @@ def plan(job: Job, out: Path) -> dict:
     }
 
 
+def _obstacles(job: Job, skill, arm) -> dict:
+    """The world that planning knows: the world's file, or what the photographs show."""
+    if not job.settings("robot.obstacles"):
+        if job.cfg.photos:
+            log.warning("  note: planned among the obstacles of world %s, not of the photographs; robot/obstacles=reconstruction does that", job.cfg.world.name)
+        return job.settings("world")
+    import numpy as np
+
+    from robot.obstacles import on_the_arm
+    from scene.space import Space
+
+    start = arm.fk(arm.home)[:3, 3]
+    paths = [way.distribution.mean_at(np.linspace(0, 1, 100)) for way in skill.starting_at(start)]
+    space = Space.load(job.capture / "space.npz")
+    spec = _setting(job, "robot.obstacles")(job.capture, space, np.concatenate(paths), on_the_arm(arm, arm.home))
+    unseen = sum(thing["shape"] == "box" for thing in spec["objects"])
+    log.info("  among %d pieces of the mesh and %d boxes of unseen space", len(spec["objects"]) - unseen, unseen)
+    return spec
+
+
 def execute(job: Job, out: Path) -> dict:
     """PyBullet performs the plan under motor control; the world's own conditions judge it."""
     import numpy as np
@@ -225,6 +266,8 @@ def execute(job: Job, out: Path) -> dict:
     chosen = Plan.load(job.run / "plan.npz")
     if not chosen.feasible:
         raise ValueError(f"the plan is not feasible, so it is not performed: {chosen.sentence}")
+    if job.cfg.photos:
+        raise ValueError("there is no simulated world of your own photographs to perform in: plan.npz and joint_trajectory.json are the motion")
     spec = job.settings("world")
     with World.from_spec(spec) as world:
         performed = _setting(job, "robot.execution")(chosen, _setting(job, "robot.arm"), world)
@@ -240,15 +283,17 @@ SCENE = ("scene.seed",)
 STAGES = (
     Stage("capture", capture, ("photos", "tags.json", "truth.json"), settings=("world", "robot.photographs", *SCENE), shared=True),
     Stage("reconstruct", reconstruct, ("images", "colmap", "sparse.ply", "transforms.json"),
-          settings=("scene.colmap", "scene.frame", *SCENE), inputs=lambda job: _fingerprint(job), shared=True),
+          settings=("scene.colmap", "scene.frame", "scene.resection", *SCENE), inputs=lambda job: _fingerprint(job), shared=True),
     Stage("train", train, ("field.pt", "held_out"), ("reconstruct",), ("scene.fit", *SCENE), shared=True, resumable=True),
+    Stage("surface", surface, ("mesh.ply", "mesh.png", "collision", "space.npz"), ("train",), ("scene.surface", *SCENE),
+          shared=True, resumable=True),
     Stage("render", render, ("views",), ("train",), ("scene.views", "world.sketch_views", "world.workspace"),
           inputs=lambda job: hashlib.sha256(file.read_bytes()).hexdigest() if (file := _drawn_before(job)) else None,
           shared=True, resumable=True),
     Stage("sketch", sketch, ("sketches.json", "held_out.json", "intended.npz"), ("render",), ("user", "world", "seed")),
     Stage("fit", fit, ("skill.npz", "densities.npz"), ("sketch",), ("teach", "seed")),
     Stage("plan", plan, ("plan.npz", "trajectory.csv", "joint_trajectory.json"), ("fit",),
-          ("robot.arm", "robot.planner", "world", "seed")),
+          ("robot.arm", "robot.planner", "robot.obstacles", "world", "seed"), inputs=lambda job: _pieces(job)),
     Stage("execute", execute, ("execution.npz", "execution.mp4", "filmstrip.png"), ("plan",), ("robot.arm", "robot.execution", "world")),
 )  # fmt: skip
 NAMES = tuple(stage.name for stage in STAGES)
@@ -278,6 +323,7 @@ def whole_job(job: Job) -> None:
 
 
 def _do(stage: Stage, job: Job, records: dict[str, Record]) -> None:
+    stage = replace(stage, needs=_needs(stage, job))
     missing = [need for need in stage.needs if need not in records]
     if missing:
         raise FileNotFoundError(f"{stage.name} needs the files of {missing[0]}: say stages=[{missing[0]},{stage.name}]")
@@ -285,6 +331,12 @@ def _do(stage: Stage, job: Job, records: dict[str, Record]) -> None:
     records[stage.name] = record = stages.run(stage, job, records)
     log.info("  done in %.1f s%s", record.seconds, " (earlier; nothing it rests on has changed)" if record.reused else "")
     write_json(job.run / "metrics.json", _metrics(records))
+
+
+def _needs(stage: Stage, job: Job) -> tuple[str, ...]:
+    """The stages whose files a stage reads: no field is needed to sketch on photographs."""
+    on_photographs = stage.name == "sketch" and job.cfg.user.kind == "files" and job.cfg.user.draws_on == "photographs"
+    return ("reconstruct",) if on_photographs else stage.needs
 
 
 def _take_over(stage: Stage, job: Job, records: dict[str, Record]) -> None:
@@ -301,7 +353,8 @@ def _take_over(stage: Stage, job: Job, records: dict[str, Record]) -> None:
 def _wanted(job: Job) -> list[str]:
     known = (*NAMES, "report")
     if job.cfg.stages is None:
-        return ["reconstruct", "train", "render"] if job.cfg.photos else list(known)
+        usual = ["reconstruct", "train", "render"] if job.cfg.photos else [name for name in known if name != "surface"]
+        return usual + ["surface"] * bool(job.settings("robot.obstacles"))
     unknown = [name for name in job.cfg.stages if name not in known]
     if unknown or not job.cfg.stages:
         raise ValueError(f"unknown stage {', '.join(unknown) or '(none given)'}; there are {', '.join(known)}")
@@ -358,6 +411,16 @@ def _fingerprint(job: Job) -> dict[str, str]:
         files |= {one.name: one for one in inside}
     went_in = {name: hashlib.sha256(path.read_bytes()).hexdigest() for name, path in files.items()}
     return went_in | ({"scene.video": str(job.settings("scene.video"))} if source and source.kind == "video" else {})
+
+
+def _pieces(job: Job) -> str | None:
+    """The contents of what planning knows of space, if that is the reconstruction."""
+    if not job.settings("robot.obstacles"):
+        return None
+    files = [job.capture / "space.npz", *sorted((job.capture / "collision").glob("*.obj"))]
+    if len(files) == 1 or not files[0].is_file():
+        raise FileNotFoundError(f"robot/obstacles=reconstruction needs the mesh of {job.capture}: say stages=[surface,plan]")
+    return hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()
 
 
 def _stored_sketches(job: Job, name: str) -> Path:

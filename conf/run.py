@@ -29,8 +29,8 @@ from scene.inputs import scene_name
 
 log = logging.getLogger("scene2skill")
 
-BESIDE = ("paths", "film")
-"""Groups of scene that a capture folder does not depend on: what they make lies beside the rest, under its own name."""
+BESIDE = ("paths", "film", "surface")
+"""Groups of scene that a capture folder does not depend on: what they make lies beside the rest, and nothing is made of it."""
 
 USER_ERRORS = (ValueError, OSError, HydraException, OmegaConfBaseException)
 VERSIONS = ("scene2skill", "torch", "numpy", "pycolmap", "pybullet", "numba", "zuko", "toppra", "hydra-core")

@@ -54,8 +54,8 @@ def _rendered(job: Job, names: list[str]) -> list[Page]:
 def _photographed(job: Job, names: list[str]) -> list[Page]:
     """The photographs taken nearest to the views of those names."""
     true = json.loads((job.capture / "truth.json").read_text())["cameras"]
-    wanted = {view.name: view.camera for view in load_views(job.capture / "views")}
     taken = {view.name: view.camera for view in load_views(job.capture) if view.name in true}
+    wanted = instantiate(job.cfg.scene.views)(list(taken.values()), job.settings("world.sketch_views")).sketch
     pages = []
     for name in names:
         nearest = min(taken, key=lambda photo: np.linalg.norm(taken[photo].centre - wanted[name].centre))

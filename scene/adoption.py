@@ -7,12 +7,12 @@ import numpy as np
 
 from scene.camera import invert
 from scene.colmap import ReconstructionFailed
-from scene.dataset import FEWEST_PHOTOGRAPHS, inside, is_rotated, load_image
+from scene.dataset import inside, is_rotated, load_image
 from scene.lens import STRAIGHT, bend
 from scene.undistortion import flat, write_results
 
 
-def adopt(pycolmap, folder, names, images, max_size, say, sparse=None, **given):
+def adopt(pycolmap, folder, names, images, max_size, fewest, say, sparse=None, masks=None, **given):
     """Write what is known already as ``solve`` writes what it has found."""
     folder, images = Path(folder), Path(images)
     pycolmap.logging.minloglevel = pycolmap.logging.FATAL.value
@@ -24,14 +24,14 @@ def adopt(pycolmap, folder, names, images, max_size, say, sparse=None, **given):
         except (ValueError, RuntimeError, MemoryError, IndexError, KeyError) as error:
             raise ReconstructionFailed(f"{sparse} is not a readable COLMAP model: {error}") from error
     posed = [image for image in model.images.values() if image.has_pose]
-    if len(posed) < FEWEST_PHOTOGRAPHS:
-        needed = f"a scene needs {FEWEST_PHOTOGRAPHS}, better 30"
-        raise ReconstructionFailed(f"only {len(posed)} pictures have cameras; {needed}")
+    if len(posed) < fewest:
+        raise ReconstructionFailed(f"only {len(posed)} pictures have cameras; a scene needs {fewest}, better 30")
     _check_pictures(images, [(image.name, model.cameras[image.camera_id]) for image in posed])
     (folder / "colmap" / "sparse" / "0").mkdir(parents=True)
     model.write(folder / "colmap" / "sparse" / "0")
     straight = all(bend(camera, max_size) < STRAIGHT for camera in model.cameras.values())
-    write_results(model, folder, [image.name for image in model.images.values()], max_size, straight, say, images)
+    masks = {name: Path(path) for name, path in (masks or {}).items()}
+    write_results(model, folder, [image.name for image in model.images.values()], max_size, straight, say, masks, images)
 
 
 def _built(pycolmap, names, lenses, poses, points, colours):
@@ -62,7 +62,7 @@ def _check_pictures(images: Path, cameras: list[tuple]):
         if (width, height) != (camera.width, camera.height):
             said = f"{camera.width}x{camera.height}"
             raise ReconstructionFailed(f"picture {name} is {width}x{height}, but its camera says {said}")
-    flat = [flat(name) for name, _ in cameras]
-    if len(set(flat)) < len(flat):
-        twice = sorted({name for name in flat if flat.count(name) > 1})
+    called = [flat(name) for name, _ in cameras]
+    if len(set(called)) < len(called):
+        twice = sorted({name for name in called if called.count(name) > 1})
         raise ReconstructionFailed(f"more than one picture is called {', '.join(twice[:6])}")

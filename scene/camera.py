@@ -125,13 +125,17 @@ class Camera:
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """A picture with its camera. image: (height, width, 3) uint8 RGB."""
+    """A picture with its camera. image: (height, width, 3) uint8 RGB; mask: (height, width) bool, False where it is not to be
+    looked at, or None."""
 
     name: str
     camera: Camera
     image: np.ndarray
+    mask: np.ndarray | None = None
 
     def __post_init__(self):
+        if self.mask is not None and (self.mask.shape != self.image.shape[:2] or self.mask.dtype != bool):
+            raise ValueError(f"view {self.name}: mask must be bool {self.image.shape[:2]}, not {self.mask.dtype} {self.mask.shape}")
         expected = (self.camera.height, self.camera.width, 3)
         if self.image.shape != expected or self.image.dtype != np.uint8:
             raise ValueError(f"view {self.name}: image must be uint8 {expected}, not {self.image.dtype} {self.image.shape}")

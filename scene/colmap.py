@@ -6,6 +6,7 @@ a process can be killed. What passes between the two is one JSON line in and fil
     <work>/images/<name>         the photographs undistorted, at most ``max_size`` px long, as the cameras of Model see
            colmap/sparse/0/      the model with the lens as it was estimated, for COLMAP
            colmap/model.npz      the Model
+           colmap/masks/         where the pictures are not to be looked at, for those that came with a mask
 
 Everything is in the model's own frame, which has no scale and any direction: scene.frame brings it to the robot.
 Cameras are pinholes; pixel (0, 0) is the top-left corner of the top-left pixel, as everywhere here.
@@ -26,7 +27,7 @@ from PIL import ExifTags, Image
 
 from scene import worker
 from scene.camera import Camera, View
-from scene.dataset import is_rotated, load_image, read_points
+from scene.dataset import FEWEST_PHOTOGRAPHS, MASKS, is_rotated, load_image, read_mask, read_points, save_mask
 from scene.transforms import Posed
 
 LEAST_BYTES = {"cameras.bin": 48, "images.bin": 73, "points3D.bin": 51}
@@ -65,7 +66,9 @@ class Model:
 
     def views(self) -> list[View]:
         """The undistorted pictures with their cameras, in the model's frame."""
-        return [View(*parts) for parts in zip(self.names, self.cameras, map(load_image, self.images), strict=True)]
+        files = [self.sparse.parents[2] / MASKS / f"{name}.png" for name in self.names]
+        masks = [read_mask(file) if file.is_file() else None for file in files]
+        return [View(*parts) for parts in zip(self.names, self.cameras, map(load_image, self.images), masks, strict=True)]
 
     @classmethod
     def load(cls, work: str | Path) -> "Model":
@@ -100,6 +103,7 @@ def reconstruct(
     alike: int = 20,
     threads: int = 1,
     progress: bool = True,
+    masks: Mapping[str, Path] | None = None,
 ) -> Model:
     """Register photographs (as scene.dataset.load_photographs lists them) with each other; write ``work``, see above.
 
@@ -107,7 +111,8 @@ def reconstruct(
     features: at most so many in a photograph. feature_size: longest side [px] at which they are sought.
     max_size: longest side [px] of the undistorted pictures. exhaustive: up to so many photographs every pair is
     matched; of more, each with its neighbours by name and ``alike`` that look alike (scene.retrieval). threads: with 1
-    the same seed gives the same model, bit by bit; more are faster. Raises ReconstructionFailed when fewer than three or fewer than half of the photographs join.
+    the same seed gives the same model, bit by bit; more are faster. masks: {photograph's name: file}, see scene.masks.
+    Raises ReconstructionFailed when fewer than three or fewer than half of the photographs join.
     """
     photographs, work = [Path(p).absolute() for p in photographs], Path(work)
     if len({p.stem for p in photographs}) < len(photographs):
@@ -120,6 +125,8 @@ def reconstruct(
     try:
         for path in photographs:
             _lay_out(path, unfinished / "photographs" / path.name)
+            if path.stem in (masks or {}):  # COLMAP wants the whole name before the ending
+                save_mask(unfinished / "masks" / f"{path.name}.png", read_mask(masks[path.stem]))
         settings = {
             "folder": str(unfinished.absolute()), "names": sorted(p.name for p in photographs), "seed": seed,
             "camera_model": camera_model, "single_camera": single_camera, "features": features,
@@ -132,19 +139,21 @@ def reconstruct(
 
 
 def adopt(
-    given: Posed | Path, images: str | Path, work: str | Path, *, max_size: int = 1024, progress: bool = True
-) -> Model:
+    given: Posed | Path, images: str | Path, work: str | Path, *, max_size: int = 1024, progress: bool = True,
+    fewest: int = FEWEST_PHOTOGRAPHS,
+) -> Model:  # fmt: skip
     """Take cameras that are known already as they are, in their own frame; write ``work``, see above.
 
     given: Posed, or the folder of a COLMAP model whose pictures lie in ``images``. Points of a Posed come without what
     saw them, so the model has no reprojection error (nan). Raises ReconstructionFailed when the model cannot be read,
-    fewer than three of its pictures have cameras, or one is missing, of another size, or turned by its EXIF.
+    fewer than ``fewest`` of its pictures have cameras, or one is missing, of another size, or turned by its EXIF.
     """
     work = Path(work)
-    settings = {"images": str(Path(images).absolute()), "max_size": max_size}
+    settings = {"images": str(Path(images).absolute()), "max_size": max_size, "fewest": fewest}
     if isinstance(given, Posed):
         points, colours = read_points(given.ply) if given.ply else (np.empty((0, 3)), np.empty((0, 3)))
         settings |= {"names": given.names, "lenses": given.lenses, "poses": given.poses.tolist()}
+        settings |= {"masks": {name: str(path.absolute()) for name, path in given.masks.items()}}
         settings |= {"points": points.tolist(), "colours": colours.tolist()}
     else:
         _require_whole(Path(given))

@@ -4,6 +4,7 @@ A capture folder holds one scene in nerfstudio's convention, so that nerfstudio 
 
     <folder>/transforms.json      w, h, fl_x, fl_y, cx, cy [px]; frames of file_path and transform_matrix
              images/*.png         undistorted pinhole pictures
+             colmap/masks/*.png   black where they are not to be looked at (``mask_path``), if that was said
              sparse.ply           points with colours (``ply_file_path``)
 
 ``transform_matrix`` is world_from_camera with OpenGL axes (x right, y up, z back); here cameras have OpenCV's.
@@ -28,15 +29,16 @@ from scene.camera import OPENCV_FROM_OPENGL, Camera, View
 from scene.files import read_json, replacing
 
 EXTENSIONS = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp")
+MASKS = "colmap/masks"
 INTRINSICS = ("w", "h", "fl_x", "fl_y", "cx", "cy")
 DISTORTION = ("k1", "k2", "k3", "k4", "p1", "p2")
 FEWEST_PHOTOGRAPHS = 3
 
 
-def load_photographs(folder: str | Path) -> list[Path]:
+def load_photographs(folder: str | Path, fewest: int = FEWEST_PHOTOGRAPHS) -> list[Path]:
     """The pictures of a folder, sorted by name, each of them decoded once to its last byte.
 
-    Raises FileNotFoundError (no such folder, no pictures) or ValueError (too few, unreadable, truncated, two of one
+    fewest: how many there must be. Raises FileNotFoundError (no such folder, no pictures) or ValueError (too few, unreadable, truncated, two of one
     name, different sizes after EXIF rotation).
     """
     folder = Path(folder)
@@ -48,9 +50,9 @@ def load_photographs(folder: str | Path) -> list[Path]:
         there = ", ".join(f"{n} {s or 'without extension'}" for s, n in Counter(p.suffix for p in files).items())
         wanted = " ".join(EXTENSIONS)
         raise FileNotFoundError(f"no pictures in {folder}: looked for {wanted}; there: {there or 'no files'}")
-    if len(paths) < FEWEST_PHOTOGRAPHS:
+    if len(paths) < fewest:
         names = ", ".join(p.name for p in paths)
-        needed = f"a scene needs at least {FEWEST_PHOTOGRAPHS}, better 30"
+        needed = f"a scene needs at least {fewest}" + ", better 30" * (fewest == FEWEST_PHOTOGRAPHS)
         raise ValueError(f"only {len(paths)} pictures in {folder} ({names}); {needed}")
     _refuse_equal_names(paths)
     _refuse_different_sizes({p: _checked_size(p) for p in paths})
@@ -94,6 +96,11 @@ def load_image(path: str | Path) -> np.ndarray:
         raise ValueError(f"unreadable or truncated picture {path}: {error}; copy it again or take it away") from error
 
 
+def read_mask(path: str | Path) -> np.ndarray:
+    """A mask (H, W) bool, False where it is black. ValueError when unreadable."""
+    return load_image(path).max(axis=2) > 127
+
+
 def is_rotated(path: str | Path) -> bool:
     """Whether the EXIF of a picture asks for it to be turned or mirrored."""
     with Image.open(path) as image:
@@ -108,6 +115,12 @@ def save_image(path: str | Path, image: np.ndarray):
             Image.fromarray(image).save(temporary, "JPEG", quality=98, subsampling=0)
         else:
             Image.fromarray(image).save(temporary, "PNG", compress_level=3)
+
+
+def save_mask(path: str | Path, mask: np.ndarray):
+    """Write (H, W) bool as a PNG of one channel, black where it is False, whole or not at all."""
+    with replacing(path) as temporary:
+        Image.fromarray(mask.astype(np.uint8) * 255).save(temporary, "PNG")
 
 
 def load_views(folder: str | Path) -> list[View]:
@@ -159,7 +172,10 @@ def _view(folder: Path, meta: dict, frame: dict, index: int) -> View:
     if image.shape[:2] != (camera.height, camera.width):
         size, said = f"{image.shape[1]}x{image.shape[0]}", f"{camera.width}x{camera.height}"
         raise ValueError(f"{where}: the picture is {size}, but w, h say {said}")
-    return View(path.stem, camera, image)
+    mask = read_mask(inside(folder, frame["mask_path"], where)) if frame.get("mask_path") else None
+    if mask is not None and mask.shape != image.shape[:2]:
+        raise ValueError(f"{where}: its mask is {mask.shape[1]}x{mask.shape[0]}, the picture {camera.width}x{camera.height}")
+    return View(path.stem, camera, image, mask)
 
 
 def _camera(lens: dict, matrix, where: str) -> Camera:
@@ -208,9 +224,14 @@ def save_views(
         raise ValueError(f"no views to save to {folder}")
     files = [f"{images}/{_save_picture(folder / images, view).name}" for view in views]
     cameras = {file: view.camera for file, view in zip(files, views, strict=True)}
+    masks = {file: f"{MASKS}/{view.name}.png" for file, view in zip(files, views, strict=True) if view.mask is not None}
+    for view in views:
+        if view.mask is not None:
+            save_mask(folder / MASKS / f"{view.name}.png", view.mask)
     if points is not None:
         save_points(folder / "sparse.ply", points, colours)
-    save_cameras(folder, cameras, ply="sparse.ply" if points is not None else None, frame=frame, original=original)
+    ply = "sparse.ply" if points is not None else None
+    save_cameras(folder, cameras, ply=ply, frame=frame, original=original, masks=masks)
 
 
 def save_cameras(
@@ -220,14 +241,17 @@ def save_cameras(
     ply: str | None = None,
     frame: dict | None = None,
     original: np.ndarray | None = None,
+    masks: dict[str, str] | None = None,
 ):
-    """Write transforms.json alone: the cameras of pictures, which are named relative to ``folder``. See ``save_views``."""
+    """Write transforms.json alone: the cameras of pictures, which are named relative to ``folder``, as are their masks. See
+    ``save_views``."""
     shared = _intrinsics(next(iter(cameras.values())))
     frames = []
     for file, camera in cameras.items():
         own = _intrinsics(camera)
         pose = (camera.world_from_camera @ OPENCV_FROM_OPENGL).tolist()
-        frames.append({"file_path": file, "transform_matrix": pose} | (own if own != shared else {}))
+        masked = {"mask_path": masks[file]} if masks and file in masks else {}
+        frames.append({"file_path": file, "transform_matrix": pose} | masked | (own if own != shared else {}))
     # without applied_transform nerfstudio takes a folder with colmap/sparse/0 for one whose axes were exchanged
     meta = {"camera_model": "OPENCV", **shared, "applied_transform": np.eye(4)[:3].tolist(), "frames": frames}
     if ply is not None:

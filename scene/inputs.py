@@ -41,7 +41,8 @@ class Source:
 
             given = read(self.path)
             return [self.path, *given.files(), *([given.ply] if given.ply else [])]
-        parts = [self.path.glob("*"), self.images.rglob("*")] if self.kind == "colmap" else [self.path.glob("*")]
+        beside = [folder.glob("*") for folder in (self.path / "masks", self.path.parent / "masks")]
+        parts = [self.path.glob("*"), self.images.rglob("*")] if self.kind == "colmap" else [self.path.glob("*"), *beside]
         return sorted(path for part in parts for path in part if path.is_file())
 
 

@@ -47,7 +47,8 @@ def solve(pycolmap, folder, names, seed, threads, max_size, alike, say, **settin
     straight = _adjust(pycolmap, best, max_size)
     (folder / "colmap" / "sparse" / "0").mkdir(parents=True)
     best.write(folder / "colmap" / "sparse" / "0")
-    write_results(best, folder, names, max_size, straight, say)
+    masks = {path.stem: path for path in (folder / "masks").glob("*.png")}
+    write_results(best, folder, names, max_size, straight, say, masks)
 
 
 def _registered(model) -> int:
@@ -89,6 +90,8 @@ class _Run:
         options.sift.first_octave = -1 if self._longest_side() < UPSAMPLED else 0
         reader = self.pycolmap.ImageReaderOptions()
         reader.camera_model = camera_model
+        if (self.folder / "masks").is_dir():
+            reader.mask_path = self.folder / "masks"
         mode = self.pycolmap.CameraMode.SINGLE if single_camera else self.pycolmap.CameraMode.PER_IMAGE
         self.say(stage="features", count=0)
         for start in range(0, len(self.names), 4):

@@ -10,31 +10,36 @@ from scene.field import Rays
 
 @dataclass(frozen=True, eq=False)
 class Photographs:
-    """For each picture: pixels (h, w, 3) uint8, direction (3, 3) = R K^-1 (pixel to ray), origin (3,), normalised."""
+    """For each picture: pixels (h, w, 3) uint8, direction (3, 3) = R K^-1 (pixel to ray), origin (3,), normalised; shown: numbers
+    of the pixels that may be looked at, None for all."""
 
     pixels: list
     directions: list
     origins: list
     near: float
+    shown: list
 
     @classmethod
     def of(cls, views, centre, half: float, near: float, scale: int) -> "Photographs":
         """Pictures ``scale`` times smaller, averaged over areas; the box of interest gives the normalised frame."""
-        pixels, directions, origins = [], [], []
+        pixels, directions, origins, shown = [], [], [], []
         for view in views:
             width, height = (max(n // scale, 1) for n in (view.camera.width, view.camera.height))
             camera = view.camera.resized(width, height)
             pixels.append(cv2.resize(view.image, (width, height), interpolation=cv2.INTER_AREA))
             directions.append((camera.world_from_camera[:3, :3] @ np.linalg.inv(camera.K)).astype(np.float32))
             origins.append(((camera.centre - centre) / half).astype(np.float32))
-        return cls(pixels, directions, origins, near)
+            mask = None if view.mask is None else 255 * view.mask.astype(np.uint8)
+            whole = None if mask is None else cv2.resize(mask, (width, height), interpolation=cv2.INTER_AREA) == 255
+            shown.append(None if mask is None else np.flatnonzero(whole))
+        return cls(pixels, directions, origins, near, shown)
 
     def draw(self, rng: np.random.Generator, count: int) -> tuple[Rays, np.ndarray]:
         """Rays through ``count`` random pixels, and their colours (count, 3) in [0, 1].
 
         No two of them are neighbours on purpose: pixels side by side teach the same voxels the same thing.
         """
-        areas = np.array([p.shape[0] * p.shape[1] for p in self.pixels], float)
+        areas = np.array([p.shape[0] * p.shape[1] if s is None else len(s) for p, s in zip(self.pixels, self.shown)], float)
         which = np.sort(rng.choice(len(self.pixels), count, p=areas / areas.sum()))
         places = rng.random((count, 2))
         drawn = [self._rays(k, places[which == k]) for k in np.unique(which)]
@@ -43,7 +48,10 @@ class Photographs:
 
     def _rays(self, k: int, places: np.ndarray):
         height, width = self.pixels[k].shape[:2]
-        x, y = (places * (width, height)).astype(np.int64).T
+        if self.shown[k] is None:
+            x, y = (places * (width, height)).astype(np.int64).T
+        else:
+            y, x = np.divmod(self.shown[k][(places[:, 0] * len(self.shown[k])).astype(np.int64)], width)
         pixels = np.stack([x + 0.5, y + 0.5, np.ones(len(x))], -1).astype(np.float32)
         directions = pixels @ self.directions[k].T
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)

@@ -1,7 +1,7 @@
 """transforms.json as others write it: pictures with their cameras, and lenses that bend.
 
     nerfstudio     w h fl_x fl_y cx cy, camera_model, k1 k2 k3 p1 p2 (k1..k4 of a fisheye), for all or for one frame;
-                   applied_transform: how its frame came from the original one; ply_file_path: points, in its frame
+                   mask_path: black where a picture is not to be looked at; applied_transform: how its frame came from the original one; ply_file_path: points, in its frame
     instant-ngp    the same, or camera_angle_x [rad] for the focal length; is_fisheye; w and h may be missing
     NeRF's blender scenes: camera_angle_x, and file_path without an ending
 
@@ -19,6 +19,7 @@ from PIL import Image
 
 from scene.camera import OPENCV_FROM_OPENGL, Camera
 from scene.dataset import EXTENSIONS, inside, load_transforms
+from scene.masks import check as check_mask
 
 PERSPECTIVE = ("", "OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "PERSPECTIVE", "FULL_OPENCV")
 FISHEYE = ("OPENCV_FISHEYE", "FISHEYE")
@@ -30,7 +31,7 @@ class Posed:
 
     names: (N,) of the pictures, relative to ``root``. lenses: (N,) of COLMAP's model, width, height, params.
     poses: (N, 4, 4) world_from_camera, OpenCV axes. ply: file of points in the same frame, if there is one.
-    frame: as in scene.dataset.load_frame. original: (4, 4) how that frame came from an earlier one.
+    masks: {name: file} of pictures with a mask. frame: as in scene.dataset.load_frame. original: (4, 4) how that frame came from an earlier one.
     """
 
     root: Path
@@ -40,10 +41,11 @@ class Posed:
     ply: Path | None = None
     frame: dict = field(default_factory=lambda: {"name": "arbitrary", "unit": "arbitrary"})
     original: np.ndarray = field(default_factory=lambda: np.eye(4))
+    masks: dict = field(default_factory=dict)
 
     def files(self) -> list[Path]:
-        """The pictures."""
-        return [self.root / name for name in self.names]
+        """The pictures and their masks."""
+        return [self.root / name for name in self.names] + list(self.masks.values())
 
 
 def read(path: str | Path) -> Posed:
@@ -54,7 +56,7 @@ def read(path: str | Path) -> Posed:
     """
     path = Path(path)
     meta = load_transforms(path)
-    files, lenses, poses = [], [], []
+    files, lenses, poses, masks = [], [], [], {}
     for i, frame in enumerate(meta["frames"]):
         where = f"{path}, frame {i}"
         missing = [key for key in ("file_path", "transform_matrix") if key not in frame]
@@ -62,8 +64,11 @@ def read(path: str | Path) -> Posed:
             raise ValueError(f"{where}: missing {', '.join(missing)}")
         where = f"{where} ({frame['file_path']})"
         files.append(_picture(path.parent, frame["file_path"], where))
-        lenses.append(_lens(meta | frame, files[-1], where))
+        lenses.append(lens_of(_sized(meta | frame, files[-1]), where))
         poses.append(_pose(frame["transform_matrix"], where))
+        if frame.get("mask_path"):
+            masks[files[-1]] = inside(path.parent, frame["mask_path"], where)
+            check_mask(masks[files[-1]], (lenses[-1]["height"], lenses[-1]["width"]))
     root = Path(os.path.commonpath([file.parent for file in files]))
     names = tuple(file.relative_to(root).as_posix() for file in files)
     ply = inside(path.parent, meta["ply_file_path"], str(path)) if meta.get("ply_file_path") else None
@@ -71,7 +76,8 @@ def read(path: str | Path) -> Posed:
     known = extra.get("frame") if isinstance(extra.get("frame"), dict) else {}
     frame = {"name": "arbitrary", "unit": "arbitrary"} | known
     original = extra.get("world_from_original") or meta.get("applied_transform") or np.eye(4)
-    return Posed(root, names, tuple(lenses), np.stack(poses), ply, frame, _transform(original, str(path)))
+    masks = {file.relative_to(root).as_posix(): mask for file, mask in masks.items()}
+    return Posed(root, names, tuple(lenses), np.stack(poses), ply, frame, _transform(original, str(path)), masks)
 
 
 def _picture(folder: Path, file_path, where: str) -> Path:
@@ -83,12 +89,18 @@ def _picture(folder: Path, file_path, where: str) -> Path:
     return inside(folder, str(named), where)
 
 
-def _lens(said: dict, picture: Path, where: str) -> dict:
-    """COLMAP's camera model and its parameters."""
+def _sized(said: dict, picture: Path) -> dict:
+    """What is said of a picture, with its size if that is not said."""
+    if said.get("w") is not None and said.get("h") is not None:
+        return said
+    with Image.open(picture) as image:
+        width, height = image.size
+    return said | {"w": width, "h": height}
+
+
+def lens_of(said: dict, where: str) -> dict:
+    """COLMAP's camera model and its parameters, of intrinsics under transforms.json's keys; ValueError beginning with ``where``."""
     width, height = said.get("w"), said.get("h")
-    if width is None or height is None:
-        with Image.open(picture) as image:
-            width, height = image.size
     if said.get("fl_x") is None and said.get("camera_angle_x") is None:
         raise ValueError(f"{where}: missing fl_x (or camera_angle_x)")
     try:

@@ -7,13 +7,14 @@ from pathlib import Path
 import numpy as np
 
 from scene.camera import Camera, invert
-from scene.dataset import load_image, save_image
+from scene.dataset import MASKS, load_image, read_mask, save_image, save_mask
 from scene.files import replacing
 from scene.lens import pinhole, through_lens, widest_pinhole
 
 
-def write_results(model, folder, names, max_size, straight, say, photographs=None):
-    """The undistorted pictures, and model.npz. photographs: where they lie, if not in ``folder``."""
+def write_results(model, folder, names, max_size, straight, say, masks, photographs=None):
+    """The undistorted pictures and masks ({picture's name: file}), and model.npz. photographs: where they lie, if not in
+    ``folder``."""
     images = sorted((image for image in model.images.values() if image.has_pose), key=lambda image: image.name)
     as_pinhole = pinhole if straight else widest_pinhole
     lenses = {number: as_pinhole(camera) for number, camera in model.cameras.items()}
@@ -27,6 +28,10 @@ def write_results(model, folder, names, max_size, straight, say, photographs=Non
         source = (photographs or folder / "photographs") / image.name
         target = folder / "images" / flat(image.name)
         files.append(_undistort(source, target, None if straight else lens, full, cameras[-1]))
+        if image.name in masks:
+            mask = np.uint8(255) * read_mask(masks[image.name])
+            seen = _resampled(mask, None if straight else lens, full, cameras[-1]) > 250  # what is partly ignored is ignored
+            save_mask(folder / MASKS / f"{flat(image.name)}.png", seen)
         say(count=len(files))
     points = [model.points3D[number] for number in sorted(model.points3D)]
     registered = {image.name for image in images}
@@ -59,18 +64,23 @@ def _undistort(source, stem, lens, full, camera) -> Path:
     if unchanged and source.suffix.lower() in (".png", ".jpg", ".jpeg"):
         stem.parent.mkdir(exist_ok=True)
         return Path(shutil.copyfile(source, stem.with_name(stem.name + source.suffix)))
+    target = stem.with_name(f"{stem.name}.png")
+    save_image(target, _resampled(load_image(source), lens, full, camera))
+    return target
+
+
+def _resampled(picture, lens, full, camera) -> np.ndarray:
+    """A picture (H, W[, 3]) uint8 of a lens (None: a pinhole) as ``camera`` sees it."""
     import cv2
 
-    picture = cv2.resize(load_image(source), (camera.width, camera.height), interpolation=cv2.INTER_AREA)
+    picture = cv2.resize(picture, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
     if lens is not None:
         enlarged = np.array([full.width / camera.width, full.height / camera.height])
         seen = through_lens(lens, full.K, camera.pixel_centres().reshape(-1, 2) * enlarged)
         seen = seen / enlarged - 0.5  # OpenCV: centres at whole numbers
         seen = seen.reshape(camera.height, camera.width, 2).astype(np.float32)
         picture = cv2.remap(picture, seen[..., 0], seen[..., 1], cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
-    target = stem.with_name(f"{stem.name}.png")
-    save_image(target, picture)
-    return target
+    return picture
 
 
 def flat(name: str) -> str:

@@ -10,7 +10,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 ROOMS = ("scene", "teach", "robot", "conf")
 FILES = [path for room in ROOMS for path in sorted((ROOT / room).rglob("*.py"))]
-COMMANDS = ("robot.capture", "scene.reconstruct", "scene.train", "scene.render", "scene.tags", "teach.draw", "teach.fit", "robot.plan", "robot.execute")  # fmt: skip
+COMMANDS = ("robot.capture", "scene.reconstruct", "scene.train", "scene.mesh", "scene.render", "scene.tags", "teach.draw", "teach.fit", "robot.plan", "robot.execute")  # fmt: skip
 MAY_IMPORT = {
     "scene": {"scene"},
     "teach": {"teach", "scene.camera", "scene.files"},

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from scene import apriltag, colmap, dataset, frame, mapping
+from scene import apriltag, colmap, dataset, frame, mapping, masks
 from scene.camera import Camera, look_at
 
 DATA = Path(__file__).parents[2] / "shared" / "data"
@@ -323,3 +323,16 @@ def test_at_least_fifteen_of_the_sixteen_banana_photographs_register(tmp_path):
     level = frame.gravity_frame(model.cameras, model.points)
     heights = [level.move(camera).centre[2] for camera in model.cameras]
     assert min(heights) > 0.1, "all photographs were taken from above the carpet"
+
+
+def test_nothing_is_matched_where_masks_are_black(tmp_path):
+    photographs = photograph(tmp_path / "photos", 12)
+    shown = np.zeros((240, 320), bool)
+    shown[40:200, 50:270] = True
+    for path in photographs:
+        dataset.save_mask(tmp_path / "masks" / f"{path.stem}.png", shown)
+    model = colmap.reconstruct(photographs, tmp_path / "work", progress=False, masks=masks.find(photographs))
+    pixels = [camera.project(model.points) for camera in model.cameras]
+    inside = [((p > [48, 38]) & (p < [272, 202])).all(1) for p in pixels]
+    assert len(model.points) > 30 and (np.sum(inside, axis=0) >= 2).all()
+    assert all((view.mask == shown).mean() > 0.98 for view in model.views())

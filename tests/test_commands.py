@@ -12,7 +12,7 @@ from PIL import Image
 
 ROOT = Path(__file__).parents[1]
 COMMAND = Path(sys.executable).with_name("scene2skill")
-MODULES = ("robot.capture", "scene.reconstruct", "scene.train", "scene.render", "scene.tags", "teach.draw", "teach.fit", "robot.plan", "robot.execute", "conf.pipeline")  # fmt: skip
+MODULES = ("robot.capture", "scene.reconstruct", "scene.train", "scene.mesh", "scene.render", "scene.tags", "teach.draw", "teach.fit", "robot.plan", "robot.execute", "conf.pipeline")  # fmt: skip
 
 
 def scene2skill(*arguments, cwd):
@@ -161,3 +161,23 @@ def test_a_full_disk(tmp_path):
     limited = f"ulimit -f 1; trap '' XFSZ; exec {COMMAND} photos=noise"
     result = subprocess.run(["bash", "-c", limited], capture_output=True, text=True, cwd=tmp_path)
     assert result.returncode == 2 and "Traceback" not in result.stderr, result.stderr
+
+
+def test_planning_among_the_reconstruction_says_that_it_needs_a_mesh(tmp_path):
+    from conf.pipeline import STAGES
+
+    refused(scene2skill("robot/obstacles=reconstruction", "stages=[plan]", cwd=tmp_path), "stages=[fit,plan]")
+    assert "surface" in [stage.name for stage in STAGES]
+
+
+def test_two_photographs_without_tags_are_refused(tmp_path):
+    photographs(tmp_path / "two", 2)
+    refused(scene2skill("photos=two", "scene/resection=tags", "stages=[reconstruct]", cwd=tmp_path), "tags.json")
+    (tmp_path / "two" / "tags.json").write_text('{"family": "36h11", "size": 0.1, "tags": {"0": {"base_from_tag": %s}}}' % np.eye(4).tolist())
+    refused(scene2skill("photos=two", "scene/resection=tags", "stages=[reconstruct]", cwd=tmp_path), "0 of 2 photographs show a tag")
+
+
+def test_masks_of_another_size_are_refused(tmp_path):
+    photographs(tmp_path / "masked")
+    photographs(tmp_path / "masked" / "masks", size=(48, 64))
+    refused(scene2skill("photos=masked", "stages=[reconstruct]", cwd=tmp_path), "48x64", "64x48")

@@ -1,0 +1,71 @@
+import numpy as np
+import pytest
+import trimesh
+
+from robot.arm import Arm
+from robot.collision import WORLD, CollisionModel
+from robot.obstacles import on_the_arm, reconstructed, unseen
+from robot.world import World
+from scene.space import FREE, OCCUPIED, UNSEEN, Space
+
+
+@pytest.fixture(scope="module")
+def arm():
+    return Arm.load("panda")
+
+
+def space(label=FREE):
+    return Space(np.array([-0.2, -0.6, -0.2]), 0.05, np.full((24, 24, 24), label, np.uint8))
+
+
+def capture(folder, *boxes):
+    for i, (size, position) in enumerate(boxes):
+        (folder / "collision").mkdir(exist_ok=True)
+        trimesh.creation.box(size).apply_translation(position).export(folder / "collision" / f"piece{i:03d}.obj")
+    return folder
+
+
+def test_pieces_stand_in_the_world_where_the_mesh_has_them(tmp_path, arm):
+    folder = capture(tmp_path, ([0.1, 0.2, 0.3], [0.5, 0.1, 0.4]), ([0.1, 0.1, 0.1], [0.2, -0.4, 0.6]))
+    spec = reconstructed(folder, None, np.zeros((1, 3)), np.zeros((1, 3)))
+    same = {"name": "boxes", "objects": [
+        {"name": "a", "shape": "box", "size": [0.1, 0.2, 0.3], "position": [0.5, 0.1, 0.4]},
+        {"name": "b", "shape": "box", "size": [0.1, 0.1, 0.1], "position": [0.2, -0.4, 0.6]},
+    ]}  # fmt: skip
+    postures = arm.random(20, 0)
+    with World.from_spec(spec, textured=False) as found, World.from_spec(same, textured=False) as true:
+        a, b = (CollisionModel(arm, world).measure(postures)[0][:, 0] for world in (found, true))
+    np.testing.assert_allclose(a, b, atol=1e-4)
+
+
+def test_unseen_space_counts_near_the_path_and_not_around_the_arm():
+    path, around = np.array([[0.6, 0.0, 0.4], [0.7, 0.0, 0.4]]), np.array([[0.5, 0.0, 0.4]])
+    boxes = unseen(space(UNSEEN), path, around, 0.2, 0.15)
+    x = np.random.default_rng(0).uniform([0, -0.4, 0], [0.95, 0.5, 0.9], (4000, 3))
+    inside = ((x[:, None] > boxes[:, 0]) & (x[:, None] < boxes[:, 1])).all(-1).any(1)
+    off = lambda points: np.linalg.norm(x[:, None] - points, axis=-1).min(1)
+    slack = 0.05 * np.sqrt(3) / 2
+    assert inside[(off(path) < 0.2 - slack) & (off(around) > 0.15 + slack)].all()
+    assert not inside[(off(path) > 0.2 + slack) | (off(around) < 0.15 - slack)].any()
+    assert len(unseen(space(FREE), path, around, 0.2, 0.15)) == len(unseen(space(OCCUPIED), path, around, 0.2, 0.15)) == 0
+
+
+def test_boxes_of_unseen_space_are_in_the_way(tmp_path, arm):
+    folder = capture(tmp_path, ([0.1, 0.1, 0.1], [2.0, 0.0, 0.0]))
+    ahead = arm.fk(arm.home)[:3, 3] + [0.15, 0, 0]
+    around = on_the_arm(arm, arm.home)
+    for label, clear in ((FREE, True), (UNSEEN, False)):
+        spec = reconstructed(folder, space(label), ahead[None], around, near=0.2, free=0.14)
+        with World.from_spec(spec, textured=False) as world:
+            distance, _ = CollisionModel(arm, world).measure(arm.home)
+        assert (distance[0, WORLD] > 0.2) == clear
+
+
+def test_points_on_the_arm_reach_from_its_base_to_its_links(arm):
+    points, frames = on_the_arm(arm, arm.home), arm.link_poses(arm.home)[0][:, :3, 3]
+    assert np.linalg.norm(points[:, None] - frames, axis=-1).min(0).max() < 1e-9
+
+
+def test_without_pieces_it_is_said_how_to_make_them(tmp_path):
+    with pytest.raises(FileNotFoundError, match="python -m scene.mesh"):
+        reconstructed(tmp_path, None, np.zeros((1, 3)), np.zeros((1, 3)))
