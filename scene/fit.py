@@ -71,12 +71,12 @@ def schedule(views, open_ended: bool = False) -> tuple[Stage, ...]:
     middle = fine // 128 * 40
     most = 512 if fine > 768 else 256
     return (
-        Stage(0.00, (96,), 64, 0.8, 4, 150, 0.10),
-        Stage(0.04, (96,), 128, 0.8, 4, 150, 0.15),
-        Stage(0.08, (96, middle), 128, 1.5, 2, 150, 0.15),
-        Stage(0.14, (96, middle), 256, 1.5, 2, 150, 0.15),
-        Stage(0.20, (96, middle), most, 1.0, 1, 200, 0.30),
-        Stage(0.26, (96, middle, fine), most, 1.0, 1, 500, 0.30),
+        Stage(0.00, (96,), 64, 1.2, 4, 50, 0.10),
+        Stage(0.04, (96,), 128, 1.2, 4, 50, 0.15),
+        Stage(0.08, (96, middle), 128, 1.5, 2, 100, 0.15),
+        Stage(0.14, (96, middle), 256, 1.5, 2, 100, 0.15),
+        Stage(0.20, (96, middle), most, 1.0, 1, 100, 0.30),
+        Stage(0.26, (96, middle, fine), most, 1.0, 1, 250, 0.30),
     )
 
 

@@ -96,6 +96,7 @@ def test_gradients_of_voxels_and_network_are_those_of_the_twin(field, rays, monk
         found["voxels"], found["network"], found["touched"] = self.gradient.copy(), network, touched.copy()
 
     monkeypatch.setattr(KernelDescent, "_move", caught)
+    monkeypatch.setattr("scene.descent.LEAST", 0.0)
     descent = KernelDescent(field, threads=1)
     bits = [np.zeros_like(field.occupied.mask) for _ in range(2)]
     jitter = np.full(n, 0.5, np.float32)
