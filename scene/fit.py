@@ -99,7 +99,6 @@ def fit(
     views,
     *,
     points=None,
-    colours=None,
     seed: int = 0,
     steps: int | None = None,
     seconds: float | None = None,
@@ -118,8 +117,8 @@ def fit(
 ) -> Field:
     """Train a field on posed photographs.
 
-    views: the training pictures (holding some out is the caller's). points (N, 3), colours (N, 3) uint8: the
-    reconstruction's, if there is one [m]. steps: how many (default STEPS, or as many as fit in ``seconds``); seconds: a cap,
+    views: the training pictures (holding some out is the caller's). points (N, 3): the reconstruction's,
+    if there is one [m]. steps: how many (default STEPS, or as many as fit in ``seconds``); seconds: a cap,
     after which training ends even so, with its schedule spread over that time. callback(field, step, seconds)
     after each step gets the field in training. checkpoint: a file, written now and then, from which a killed
     training goes on; removed at the end. bounds: (2, 3) corners of the box of interest [m], else from points or cameras.
