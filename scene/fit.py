@@ -33,6 +33,12 @@ BATCH = 2048
 """Rays a step."""
 FINEST, FINEST_OPEN = 1024, 640
 """Cells an axis of the finest level, at most: before a backdrop, and without one."""
+RATES, RATES_OPEN = (0.3, 0.012, 0.003, 0.001), (0.02, 0.012, 0.003, 0.001)
+"""Learning rates of density, colour, features and network: before a backdrop, and without one.
+
+A ray that meets the backdrop says that its way is empty, so surfaces may form at once. Where no ray says so, fog before each
+camera explains its picture as well as the scene does; it wins if density is quick, and the field fits the photographs only.
+"""
 NEAR = 0.02
 """Where the rays of a new view begin, in units of the box's half width."""
 OPAQUE = 0.1
@@ -109,7 +115,7 @@ def fit(
     bounds=None,
     deterministic: bool = False,
     stages: tuple[Stage, ...] | None = None,
-    rates: tuple[float, float, float, float] = (0.08, 0.012, 0.003, 0.001),
+    rates: tuple[float, float, float, float] | None = None,
     decay: float = 0.5,
     thin: float = 0.1,
     prior: float = 5.0,
@@ -124,13 +130,14 @@ def fit(
     training goes on; removed at the end. bounds: (2, 3) corners of the box of interest [m], else from points or cameras.
     deterministic: one thread, bit-equal results. device: "cpu" or "auto", which is the same.
 
-    stages: default `schedule`. rates: of density, colour, features, network, falling to
-    ``decay`` of it. thin: density of the fog that training begins with, and prior: raw density it begins with at points. hidden:
+    stages: default `schedule`. rates: of density, colour, features, network (default `RATES` or `RATES_OPEN`), falling
+    to ``decay`` of it. thin: density of the fog that training begins with, and prior: raw density it begins with at points. hidden:
     width of the network.
     """
     _check(views)
     behind_all = backdrop(views)
     stages = stages or schedule(views, open_ended=not len(behind_all))
+    rates = rates or (RATES if len(behind_all) else RATES_OPEN)
     run = _resume(checkpoint, views, seed, stages) or _start(
         views, points, bounds, Shading.initial(np.random.default_rng(seed), behind_all, hidden), deterministic, device, thin
     )
