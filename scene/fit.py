@@ -33,12 +33,6 @@ BATCH = 2048
 """Rays a step."""
 FINEST, FINEST_OPEN = 1024, 640
 """Cells an axis of the finest level, at most: before a backdrop, and without one."""
-RATES, RATES_OPEN = (0.3, 0.012, 0.003, 0.001), (0.02, 0.012, 0.003, 0.001)
-"""Learning rates of density, colour, features and network: before a backdrop, and without one.
-
-A ray that meets the backdrop says that its way is empty, so surfaces may form at once. Where no ray says so, fog before each
-camera explains its picture as well as the scene does; it wins if density is quick, and the field fits the photographs only.
-"""
 NEAR = 0.02
 """Where the rays of a new view begin, in units of the box's half width."""
 OPAQUE = 0.1
@@ -86,6 +80,15 @@ def schedule(views, open_ended: bool = False) -> tuple[Stage, ...]:
     )
 
 
+def learning_rates(pictures: int, open_ended: bool = False) -> tuple[float, float, float, float]:
+    """Of density, colour, features and network.
+
+    A ray that meets the backdrop says that its way is empty, so surfaces may form at once. Where no ray says so, fog before
+    a camera explains its picture as well as the scene does; the fewer other pictures contradict it, the slower density is.
+    """
+    return min(0.3, 0.002 * pictures) if open_ended else 0.3, 0.012, 0.003, 0.001
+
+
 @dataclass
 class Training:
     """A training under way: all that a checkpoint holds."""
@@ -130,14 +133,14 @@ def fit(
     training goes on; removed at the end. bounds: (2, 3) corners of the box of interest [m], else from points or cameras.
     deterministic: one thread, bit-equal results. device: "cpu" or "auto", which is the same.
 
-    stages: default `schedule`. rates: of density, colour, features, network (default `RATES` or `RATES_OPEN`), falling
+    stages: default `schedule`. rates: of density, colour, features, network (default `learning_rates`), falling
     to ``decay`` of it. thin: density of the fog that training begins with, and prior: raw density it begins with at points. hidden:
     width of the network.
     """
     _check(views)
     behind_all = backdrop(views)
     stages = stages or schedule(views, open_ended=not len(behind_all))
-    rates = rates or (RATES if len(behind_all) else RATES_OPEN)
+    rates = rates or learning_rates(len(views), open_ended=not len(behind_all))
     run = _resume(checkpoint, views, seed, stages) or _start(
         views, points, bounds, Shading.initial(np.random.default_rng(seed), behind_all, hidden), deterministic, device, thin
     )
