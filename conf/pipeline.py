@@ -88,11 +88,11 @@ def train(job: Job, out: Path) -> dict:
     from scene.dataset import load_points, load_views
 
     views = load_views(job.capture)
-    points, colours = load_points(job.capture)
+    points, _ = load_points(job.capture)
     training, held_out = split(views)
     started = time.perf_counter()
     field = _setting(job, "scene.fit")(
-        training, points=points if len(points) else None, colours=colours, seed=job.cfg.scene.seed,
+        training, points=points if len(points) else None, seed=job.cfg.scene.seed,
         checkpoint=out / "checkpoint.npz", progress=_watched(),
     )  # fmt: skip
     metrics = {"seconds": time.perf_counter() - started}

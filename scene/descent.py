@@ -10,6 +10,8 @@ from scene.grid import BRICK, lengthened
 
 BETA1, BETA2 = 0.9, 0.99
 EPSILON = 1e-5
+LEAST = 1e-3
+"""Samples with smaller gradients (of a squared colour error) are left out: RMSProp would move their voxels as far as those of a surface."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +75,7 @@ class KernelDescent:
             kernels.march_back, n, self.threads, rays.origins, rays.directions, np.float32(field.step),
             np.float32(field.step * field.scale), field.grid.sizes, field.grid.roots, field.grid.starts,
             field.grid.table, np.float32(field.shift), first, count, t, alpha, feature, marched.channels, marched.through,
-            grad_channels, grad_through, self.gradient, touched,
+            grad_channels, grad_through, np.float32(LEAST), self.gradient, touched,
         )  # fmt: skip
         self._move(touched, [g.sum(0) for g in grads], rates)
 

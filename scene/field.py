@@ -17,7 +17,8 @@ from scene.files import replacing
 from scene.grid import BRICK, CHANNELS, Grid
 from scene.occupancy import Occupancy, cells
 
-VERSION = 2
+VERSION = 3
+QUANTA = np.float32([1 / 16] + [1 / 128] * 3 + [1 / 256] * 4)  # to which a file rounds raw density, colour, features
 FAR = 1e4
 STOP = 1e-3
 STOP_TRAINING = 1e-2
@@ -158,7 +159,7 @@ class Field:
         return self.march(rays, far=np.ascontiguousarray(distance[:, 0] / self.half, np.float32)).through
 
     def save(self, path) -> None:
-        """Write the field to ``path``, atomically: what lies in occupied space, the voxels as float16."""
+        """Write the field to ``path``, atomically: what lies in occupied space, the voxels rounded to `QUANTA`."""
         grid = self.grid.within(cells(self.occupied.mask))
         with replacing(path) as temporary, open(temporary, "wb") as file:
             np.savez_compressed(
@@ -169,7 +170,7 @@ class Field:
                 sizes=grid.sizes,
                 roots=np.packbits(grid.roots > 0),
                 kept=np.packbits(grid.table > 0),
-                values=grid.values.astype(np.float16),
+                values=_rounded(grid.values),
                 occupied=self.occupied.mask,
                 background=self.shading.background,
                 inner=self.shading.inner,
@@ -209,17 +210,33 @@ class Field:
         shapes = {
             "centre": (centre, (3,)), "numbers": (numbers, (5,)), "background": (background, (3,) if background.size else (0,)),
             "inner": (inner, (16, hidden)), "outer": (outer, (hidden, 3)),
-            "values": (values, (BRICK**3 * (1 + int(table.max())), CHANNELS)),
         }  # fmt: skip
         for name, (array, shape) in shapes.items():
             if array.shape != shape or array.dtype.kind != "f" or not np.isfinite(array).all():
                 raise ValueError(f"{name} must be {shape} finite numbers, not {array.dtype} {array.shape}")
+        if values.dtype != np.uint8 or values.shape != (2, CHANNELS, BRICK**3 * (1 + int(table.max()))):
+            raise ValueError(f"its voxels are {values.dtype} {values.shape}")
         half, step, scale, shift, near = map(float, numbers)
         if not (half > 0 and step > 0 and scale > 0 and near >= 0):
             raise ValueError("its box, step and scale must be positive")
         shading = Shading(*(np.ascontiguousarray(p, np.float32) for p in (background, inner, outer)))
-        grid = Grid(sizes, roots, table, np.ascontiguousarray(values, np.float32))
+        grid = Grid(sizes, roots, table, _unrounded(values))
         return cls(centre.astype(float), half, grid, shading, Occupancy.from_mask(occupied), step, scale, shift, near)
+
+
+def _rounded(values: np.ndarray) -> np.ndarray:
+    """Voxels (n, 8) -> (2, 8, n) uint8: the low and high bytes of their multiples of `QUANTA`.
+
+    Most multiples are small: shifted by 128 their high bytes are 0, and alike bytes side by side compress well.
+    """
+    multiples = (np.clip(np.round(values / QUANTA), -32640, 32639) + 128).astype("<i2")
+    return np.ascontiguousarray(multiples.T).view(np.uint8).reshape(CHANNELS, -1, 2).transpose(2, 0, 1)
+
+
+def _unrounded(pairs: np.ndarray) -> np.ndarray:
+    """The inverse of `_rounded`."""
+    multiples = np.ascontiguousarray(pairs.transpose(2, 1, 0)).view("<i2")[..., 0]
+    return (multiples.astype(np.float32) - 128) * QUANTA
 
 
 def _numbered(bits: np.ndarray, count: int) -> np.ndarray:

@@ -214,7 +214,8 @@ def march(
 
     origins, directions (n, 3); near, far, jitter (n,), jitter in [0, 1) of a step. The samples of a ray lie at
     sample_first[ray] + [0, sample_count[ray]). out (n, 8): 0, and in 1..7 the
-    composited features; out_through (n,): transmittance left; out_depth (n,): distance where it crosses 1/2, or nan.
+    composited features; out_through (n,): transmittance left; out_depth (n,): distance where it crosses 1/2, or nan
+    (a sample stands for half a step on either side, of which what lies before near or beyond far is not seen).
     If samples are kept, ``surface`` gets a bit for each cell where that is, and ``seen`` for each with a sample
     whose weight is at least ``visible`` of the ray's largest.
     """
@@ -259,7 +260,7 @@ def march(
                 if keep > 0:
                     surface[cell >> 6] |= _bit(cell)
                 crossing = np.log(np.float32(2.0) * through) / max(optical, np.float32(1e-12))
-                depth = t + (crossing - np.float32(0.5)) * length
+                depth = min(max(t + (crossing - np.float32(0.5)) * length, near[ray]), far[ray])
             largest = max(largest, weight)
             sample_cell[cursor] = cell
             for c in range(1, CHANNELS):
@@ -292,14 +293,14 @@ def _mark(touched, rows):
 @njit(**_FAST)
 def march_back(
     first, last, piece, origins, directions, step, thickness, sizes, roots, starts, table, shift,
-    sample_first, sample_count, sample_t, sample_alpha, sample_feature, out, out_through, grad_out, grad_through, gradient, touched,
+    sample_first, sample_count, sample_t, sample_alpha, sample_feature, out, out_through, grad_out, grad_through, least, gradient, touched,
 ):  # fmt: skip
     """Backward of `march`: adds dL/d(values) to ``gradient`` and marks the voxels it wrote to in ``touched``.
 
-    grad_out (n, 8), grad_through (n,): dL/d(out), dL/d(out_through). With dL/dw_i = g . f_i,
+    grad_out (n, 8), grad_through (n,): dL/d(out), dL/d(out_through). least: samples with no larger gradient in any
+    channel teach nothing. With dL/dw_i = g . f_i,
         dL/dsigma_i = step (T_{i+1} dL/dw_i - sum_{j>i} w_j dL/dw_j - T_end dL/dT_end)
     """
-    small = np.float32(1e-9)
     for ray in range(first, last):
         ox, oy, oz = origins[ray, 0], origins[ray, 1], origins[ray, 2]
         dx, dy, dz = directions[ray, 0], directions[ray, 1], directions[ray, 2]
@@ -324,7 +325,7 @@ def march_back(
             for c in range(1, CHANNELS):
                 sample_feature[i, c] = weight * grad_out[ray, c]
                 largest = max(largest, abs(sample_feature[i, c]))
-            if largest < small:
+            if largest < least:
                 continue
             cx, cy, cz, speed, r = _place(ox, oy, oz, dx, dy, dz, sample_t[i])
             for level in range(sizes.shape[0]):

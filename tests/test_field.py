@@ -2,9 +2,12 @@
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 
 from scene.camera import Camera, View, look_at, orbit
-from scene.field import Field
+from scene.field import CHANNELS, QUANTA, Field, _rounded, _unrounded
 from scene.fit import fit
 from scene.volume import psnr
 
@@ -73,8 +76,33 @@ def test_what_is_saved_is_what_is_loaded(field, new_view, tmp_path):
     field.save(tmp_path / "field.pt")
     again, depth = Field.load(tmp_path / "field.pt").render(new_view)
     image, _ = field.render(new_view)
-    assert psnr(again, image) > 35  # voxels are kept in half precision
+    assert psnr(again, image) > 45  # a file rounds the voxels
     assert [path.name for path in tmp_path.iterdir()] == ["field.pt"]
+
+
+@settings(max_examples=20, deadline=None)
+@given(arrays(np.float32, (5, CHANNELS), elements=st.floats(-3000, 3000, width=32)))
+def test_a_file_rounds_voxels_to_less_than_a_quantum(values):
+    again = _unrounded(_rounded(values))
+    within = np.abs(values) < 32000 * QUANTA
+    assert (np.abs(again - values)[within] <= np.broadcast_to(0.51 * QUANTA, values.shape)[within]).all()
+    assert (np.abs(again) <= 32640 * QUANTA).all()  # what is larger is cut off
+
+
+def test_voxels_of_another_kind_are_refused(field, tmp_path):
+    path = tmp_path / "field.pt"
+    field.save(path)
+    with np.load(path) as file:
+        whole = {key: file[key] for key in file.files}
+    for wrong in (whole["values"].astype(np.float32), whole["values"][:, :, :-64]):
+        with open(path, "wb") as file:
+            np.savez(file, **{**whole, "values": wrong})
+        with pytest.raises(ValueError, match="damaged"):
+            Field.load(path)
+    with open(path, "wb") as file:
+        np.savez(file, **{**whole, "version": 2})
+    with pytest.raises(ValueError, match="no field of version 3; train it again"):
+        Field.load(path)
 
 
 def test_a_truncated_or_foreign_file_is_refused(field, tmp_path):

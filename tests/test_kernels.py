@@ -96,6 +96,7 @@ def test_gradients_of_voxels_and_network_are_those_of_the_twin(field, rays, monk
         found["voxels"], found["network"], found["touched"] = self.gradient.copy(), network, touched.copy()
 
     monkeypatch.setattr(KernelDescent, "_move", caught)
+    monkeypatch.setattr("scene.descent.LEAST", 0.0)
     descent = KernelDescent(field, threads=1)
     bits = [np.zeros_like(field.occupied.mask) for _ in range(2)]
     jitter = np.full(n, 0.5, np.float32)
@@ -110,6 +111,25 @@ def test_gradients_of_voxels_and_network_are_those_of_the_twin(field, rays, monk
         np.testing.assert_allclose(mine, true, atol=3e-4 * float(true.abs().max()))
     moved = np.unpackbits(found["touched"].view(np.uint8), bitorder="little").astype(bool)
     assert moved[(np.abs(expected).max(1) > 1e-6)].all()
+
+
+def test_samples_whose_gradients_are_small_move_nothing(field, rays, monkeypatch):
+    monkeypatch.setattr("scene.descent.LEAST", np.inf)
+    before = field.grid.values.copy()
+    n = len(rays.near)
+    bits = [np.zeros_like(field.occupied.mask) for _ in range(2)]
+    jitter, colours = np.full(n, 0.5, np.float32), np.zeros((n, 3), np.float32)
+    KernelDescent(field, threads=1).step(rays, colours, colours, jitter, Rates(1, 1, 1, 1), *bits, 0.1)
+    np.testing.assert_array_equal(field.grid.values, before)
+
+
+def test_no_depth_lies_beyond_far(field, rays):
+    """The sample before ``far`` stands for half a step beyond it, too."""
+    surface = field.march(rays).distance
+    far = np.nan_to_num(surface - 0.1 * field.step, nan=1.0).astype(np.float32)
+    distance = field.march(rays, far=far).distance
+    hit = np.isfinite(distance)
+    assert hit.sum() > 5 and (distance[hit] <= far[hit]).all()
 
 
 def test_one_step_of_rmsprop_moves_touched_voxels_only():

@@ -36,9 +36,9 @@ def main():
     views = load_views(options.capture)
     if options.width:
         views = [scaled(view, options.width) for view in views]
-    points, colours = load_points(options.capture)
+    points, _ = load_points(options.capture)
     training, held_out = split(views)
-    fit(training, points=points, colours=colours, steps=2, progress=False).render(held_out[0].camera)
+    fit(training, points=points, steps=2, progress=False).render(held_out[0].camera)
     print(f"{len(training)} pictures of {views[0].camera.width}x{views[0].camera.height}, {len(held_out)} held out")
     print("| seconds | PSNR [dB], each seed | mean | steps | a view [s] |\n|---|---|---|---|---|")
     for seconds in options.seconds:
@@ -48,7 +48,7 @@ def main():
             def count(field, step, elapsed, steps=steps):
                 steps.append(step)
 
-            field = fit(training, points=points, colours=colours, seconds=seconds, seed=seed, progress=False, callback=count)
+            field = fit(training, points=points, seconds=seconds, seed=seed, progress=False, callback=count)
             started = time.perf_counter()
             rendered = [field.render(view.camera)[0] for view in held_out]
             view_seconds = (time.perf_counter() - started) / len(held_out)
