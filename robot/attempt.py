@@ -16,7 +16,7 @@ SHARED_PROFILES, OWN_POSTURES, SCREENING_STRIDE = 4, 4, 3
 
 @dataclass(frozen=True, eq=False)
 class Attempt:
-    """A candidate with a profile. index: 0 is the mean. points (N, 3) [m]. path (N, J), shorter where the arm could not
+    """A candidate with a profile. index: 0 is the mean, negative a mean moved away from obstacles. points (N, 3) [m]. path (N, J), shorter where the arm could not
     follow.
 
     clearance: to the world [m]. refusal: why it is not feasible, empty where it is.
@@ -134,7 +134,7 @@ def swept_refusal(model, path, t, index, margin) -> str:
 
 
 def title(index) -> str:
-    return "the mean" if index == 0 else f"sample {index}"
+    return "the mean" if index == 0 else f"sample {index}" if index > 0 else "the moved mean"
 
 
 def touch(index, t, clearance, pair, margin) -> str:

@@ -28,6 +28,7 @@ from robot.kinematics import PRISMATIC
 from robot.shapes import BOX, CAPSULE, CYLINDER, body_pieces, link_pieces, region_pieces
 
 WORLD, ITSELF = 0, 1
+NEAR_AT_HOME = 0.01  # m: what is nearer in a comfortable posture is a matter of coarse geometry
 ALWAYS_TOUCHING = 0.9  # share of random postures: such a pair is a matter of coarse geometry, not of the posture
 
 
@@ -47,7 +48,7 @@ class CollisionModel:
     that may touch. cap: larger clearances are not told apart [m].
 
     Links that cannot move are not compared with the world (the base may stand on a table or in it). Of the arm's own
-    pairs those are left out that are neighbours, touch at home, or touch in nearly all random postures.
+    pairs those are left out that are neighbours, (nearly) touch at home, or touch in nearly all random postures.
     """
 
     def __init__(self, arm, world=None, regions=(), ignored=(), cap=0.3):
@@ -95,7 +96,7 @@ class CollisionModel:
         """q (N, J) -> clearance (N, 2) [m] to the world and to itself; nearest pairs (N, 2), -1 where beyond cap."""
         poses = self.arm.link_poses(q)
         cap = self.cap if cap is None else min(cap, self.cap)
-        lower = _lower_bounds(poses, self._balls, self._first, self._link_of_piece, self._pairs, *self._bounds)
+        lower = self._lower(poses)
         distance, pair = np.full((len(poses), 2), cap), np.full((len(poses), 2), -1)
         split = len(self._pairs) - self._own
         for n in np.flatnonzero((lower < cap).any(axis=1)):
@@ -103,6 +104,26 @@ class CollisionModel:
             for group, (start, stop) in enumerate(((0, split), (split, len(self._pairs)))):
                 distance[n, group], pair[n, group] = self._exact(poses[n], lower[n, start:stop], start, cap, placed)
         return distance, pair
+
+    def close(self, q, within) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """q (N, J) -> all pairs nearer than ``within`` [m]: rows of q (K,), pairs (K,), clearances (K,) [m]."""
+        poses = self.arm.link_poses(q)
+        rows, pairs = np.nonzero(self._lower(poses) < within)
+        clearance = self.distances(q[rows], pairs)
+        near = clearance < within
+        return rows[near], pairs[near], clearance[near]
+
+    def of_world(self, pairs) -> np.ndarray:
+        """(K,) bool: which pairs (K,) are of the arm and the world."""
+        return np.asarray(pairs) < len(self._pairs) - self._own
+
+    def distances(self, q, pairs) -> np.ndarray:
+        """Clearance (K,) [m] of one pair each, at q (K, J)."""
+        poses = self.arm.link_poses(q)
+        return np.array([self._distance(*self._pairs[pair], T, set()) for T, pair in zip(poses, pairs)])
+
+    def _lower(self, poses) -> np.ndarray:
+        return _lower_bounds(poses, self._balls, self._first, self._link_of_piece, self._pairs, *self._bounds)
 
     def _exact(self, poses, lower, start, cap, placed):
         """Smallest exact distance among the pairs from ``start``, and which. Overlapping pairs are all measured."""
@@ -200,7 +221,7 @@ class CollisionModel:
         ]
 
     def _choose_own_pairs(self):
-        """Start from every pair of links that are not neighbours; drop those that touch at home or nearly always."""
+        """Start from every pair of links that are not neighbours; drop those that (nearly) touch at home, or nearly always."""
         rigid = _rigid_groups(self.arm.tree)
         parents = {
             rigid[link]: rigid[self.arm.tree.parent[link]] for link in range(len(rigid)) if rigid[link] == link and link
@@ -217,11 +238,11 @@ class CollisionModel:
             and frozenset((self.names[a], self.names[b])) not in self._ignored
         ]
         postures = np.vstack([self.arm.home, self.arm.random(100, 0)])
-        touching = np.zeros((len(postures), len(candidates)), dtype=bool)
+        clearance = np.zeros((len(postures), len(candidates)))
         for n, poses in enumerate(self.arm.link_poses(postures)):
             placed = set()
-            touching[n] = [self._distance(a, b, poses, placed) <= 0 for a, b in candidates]
-        kept = ~touching[0] & (touching.mean(axis=0) < ALWAYS_TOUCHING)
+            clearance[n] = [self._distance(a, b, poses, placed) for a, b in candidates]
+        kept = (clearance[0] > NEAR_AT_HOME) & ((clearance <= 0).mean(axis=0) < ALWAYS_TOUCHING)
         own = np.array([pair for pair, keep in zip(candidates, kept) if keep], dtype=np.int64).reshape(-1, 2)
         self._own = len(own)
         self._pairs = np.vstack([self._pairs, own])

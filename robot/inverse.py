@@ -25,13 +25,13 @@ TOOLS = ("free", "kept", "pointed", "tangent")
 class NoSolution(ValueError):
     """No posture reaches what was asked.
 
-    Along a path: ``waypoint``, the index of the first that cannot be had, and ``path`` (waypoint, J), the postures
-    before it.
+    Along a path: ``waypoint``, the index of the first that cannot be had, ``path`` (waypoint, J), the postures before
+    it, and ``posture`` (J,), the one that comes nearest to it, None where it could be had but for a jump.
     """
 
-    def __init__(self, message, waypoint=None, path=None):
+    def __init__(self, message, waypoint=None, path=None, posture=None):
         super().__init__(message)
-        self.waypoint, self.path = waypoint, path
+        self.waypoint, self.path, self.posture = waypoint, path, posture
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,12 +65,12 @@ class Tool:
         if self.kind == "free":
             return poses, POSITION
         ahead = np.gradient(poses[:, :3, 3], axis=0) if self.kind == "tangent" else np.broadcast_to(self.axis, (len(poses), 3))
-        for pose, z in zip(poses, _directions(ahead)):
+        for pose, z in zip(poses, directions(ahead)):
             pose[:3, :3] = _with_z(z)
         return poses, POINTED
 
 
-def _directions(ahead) -> np.ndarray:
+def directions(ahead) -> np.ndarray:
     """Unit vectors (T, 3); where one has no length it is that of its nearest neighbour."""
     length = np.linalg.norm(ahead, axis=1)
     long = np.flatnonzero(length > 1e-9)
@@ -118,7 +118,7 @@ def follow(arm, poses, rows, start, rest, gain, position_tolerance, rotation_tol
     k = int(bad[0])
     if missed[k]:
         what = f"waypoint {k + 1} of {len(path)}"
-        raise NoSolution(_why(arm, what, path[k], position[k], rotation[k]), k, path[:k])
+        raise NoSolution(_why(arm, what, path[k], position[k], rotation[k]), k, path[:k], path[k])
     joint = arm.joint_names[int(np.abs(path[k] - (path[k - 1] if k else start)).argmax())]
     raise NoSolution(
         f"at waypoint {k + 1} of {len(path)} {joint} would jump by {steps[k]:.2f} rad "

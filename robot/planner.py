@@ -5,6 +5,7 @@
     2. For each, find a joint path that keeps the tip on it (postures.py: which way the hand is turned is free unless
        taught) and measure its clearance to the world and to the arm itself, swept between waypoints (collision.py).
        All profiles are tried on the mean; the samples begin with those that served the mean best (attempt.py).
+       A mean that is refused is moved away from what it meets, as little as its distribution says (deform.py).
     3. Of the feasible candidates take the most likely that is ``comfortable`` clear; if none is, the one with most
        clearance.
     4. Time it (timing.py) and check the timed motion once more, as it will be performed.
@@ -21,10 +22,12 @@ from scipy.interpolate import CubicSpline
 
 from robot.attempt import RESOLUTION, Attempt, Search, swept_refusal, title
 from robot.collision import ITSELF, WORLD, CollisionModel
+from robot.deform import Moved, moved_mean
 from robot.timing import motion_spline, time_path
 from scene.files import replacing
 from teach.hull import visual_hull
 
+MOVED = -1  # the index of the first way's moved mean; that of the second is one below
 POSITION_TOLERANCE = 2e-3  # m, of the timed motion against the candidate
 
 
@@ -51,13 +54,14 @@ class Plan:
     chosen: int
     feasible: bool
     way: int = 0
+    moved: str = ""
 
     @property
     def sentence(self) -> str:
         """What came of it, in one line."""
         if not self.feasible:
-            return f"none of {self.samples} candidates is feasible; {self.refusals[self.chosen]}"
-        which = ("the mean" if self.chosen == 0 else f"sample {self.chosen}") + f" (way {self.way + 1})" * (self.way > 0)
+            return f"none of {self.samples} candidates is feasible; {self.refusals[self.chosen]}" + f"; {self.moved}" * bool(self.moved)
+        which = (title(self.chosen) if self.chosen >= 0 else self.moved) + f" (way {self.way + 1})" * (self.way > 0)
         feasible, clear, error = (
             self.samples - len(self.refusals),
             1e3 * self.clearance.min(),
@@ -87,7 +91,7 @@ class Plan:
 
     def save(self, path) -> None:
         """Write an npz file, whole or not at all."""
-        words = ("names", "refusals")
+        words = ("names", "refusals", "moved")
         values = {f.name: np.array(getattr(self, f.name), dtype=str if f.name in words else None) for f in fields(self)}
         with replacing(path) as temporary:
             np.savez(temporary, **values)
@@ -99,11 +103,12 @@ class Plan:
             raise FileNotFoundError(f"no plan file {path}")
         try:
             with np.load(path, allow_pickle=False) as file:
-                values = {f.name: file[f.name] for f in fields(cls) if f.name != "way"} | {"way": file.get("way", np.array(0))}
+                later = {"way": np.array(0), "moved": np.array("")}  # earlier files have none
+                values = {f.name: file[f.name] if f.name in file else later[f.name] for f in fields(cls)}
         except (ValueError, KeyError, EOFError, OSError, BadZipFile) as error:
             raise ValueError(f"{path} is not a plan file ({error}); robot.plan writes one") from None
         words = {name: tuple(values[name].tolist()) for name in ("names", "refusals")}
-        numbers = {name: values[name].item() for name in ("samples", "chosen", "feasible", "way")}
+        numbers = {name: values[name].item() for name in ("samples", "chosen", "feasible", "way", "moved")}
         return cls(**values | words | numbers)
 
 
@@ -120,12 +125,13 @@ def plan(
     comfortable=0.03,
     postures=12,
     rate=50.0,
+    moved=0.2,
 ) -> Plan:
     """Choose, check and time a motion of the arm among the bodies of the world.
 
     skill: Skill. arm: Arm. world: World (or anything with ``client`` and ``bodies``), None for free space. start (J,)
     [rad]: the present posture (home). seed: of the samples. samples: candidates, the mean among them. waypoints: of
-    each path. margin [m]: least clearance to anything. comfortable [m]: clearance beyond which more likely is better
+    each path. moved [m]: how far a mean that is refused may be moved at most, 0 for not at all. margin [m]: least clearance to anything. comfortable [m]: clearance beyond which more likely is better
     than more clear. postures: end postures tried on the mean. rate [Hz]: samples of the plan.
     The regions that skill.keep_out outlines are kept clear of as if they were bodies. The motion takes at least
     ``skill.duration``. Raises ValueError where the start itself is out of limits or too close to something, SketchError
@@ -136,8 +142,15 @@ def plan(
     start = np.array(arm.home if start is None else start, dtype=float)
     model = CollisionModel(arm, world, visual_hull(skill.keep_out))
     _check_start(arm, model, start, margin)
-    candidates, unlikely, way = _candidates(skill, arm.fk(start)[:3, 3], samples, waypoints, seed)
-    attempts = Search(arm, model, start, margin, comfortable, postures).all(candidates, skill.orientation)
+    ways = skill.starting_at(arm.fk(start)[:3, 3])[:samples]
+    candidates, way = _candidates(ways, samples, waypoints, seed)
+    search = Search(arm, model, start, margin, comfortable, postures)
+    attempts = search.all(candidates, skill.orientation)
+    detours = _detours(search, ways, attempts, moved)
+    said = "; ".join(_said(detour, index) for index, detour in detours.items())
+    attempts += [detour.attempt for detour in detours.values() if detour]
+    way = dict(enumerate(way)) | {index: MOVED - index for index in detours}
+    unlikely = {a.index: _unlikely(ways[way[a.index]], a.points) for a in attempts}
     refusals = {a.index: a.refusal for a in attempts if a.refusal}
     for attempt in _in_order(attempts, unlikely, comfortable):
         try:
@@ -147,9 +160,10 @@ def plan(
             refusals[attempt.index] = f"{title(attempt.index)}: {error}"
         if not refusals[attempt.index]:
             del refusals[attempt.index]
-            return _plan(arm, timed, refusals, attempt.index, way, True)
-    least_bad = max(attempts, key=lambda a: a.rank)
-    return _plan(arm, _untimely(arm, model, least_bad, skill.duration, rate), refusals, least_bad.index, way, False)
+            return _plan(arm, timed, refusals, attempt.index, samples, int(way[attempt.index]), said, True)
+    least_bad = max((a for a in attempts if a.index >= 0), key=lambda a: a.rank)
+    timed = _untimely(arm, model, least_bad, skill.duration, rate)
+    return _plan(arm, timed, refusals, least_bad.index, samples, int(way[least_bad.index]), said, False)
 
 
 def _check_start(arm, model, start, margin):
@@ -166,25 +180,44 @@ def _check_start(arm, model, start, margin):
         raise ValueError(f"at the start {a} is {where} {b} (margin {1e3 * margin:.0f} mm); start the arm elsewhere")
 
 
-def _candidates(skill, tip, samples, waypoints, seed):
-    """Paths (samples, N, 3) from the tip on, the mean first, how unlikely each is (samples,), and its way (samples,).
-
-    Unlikely: squared Mahalanobis distance to the mean of its way, and twice the negative log share of that."""
+def _candidates(ways, samples, waypoints, seed):
+    """Paths (samples, N, 3), the means of the ways first, and whose way each goes (samples,)."""
     t, rng = np.linspace(0, 1, waypoints), np.random.default_rng(seed)
-    ways = skill.starting_at(tip)[:samples]
     counts = np.diff(np.round((samples - len(ways)) * np.cumsum([0.0] + [way.share for way in ways])).astype(int))
-    paths, unlikely = [], []
-    for way, count in zip(ways, counts, strict=True):
-        mean = way.distribution.mean_at(t)
-        drawn = np.concatenate([mean[None], way.distribution.sample(count, t, rng)])
-        if not np.isfinite(drawn).all():
-            raise ValueError("the skill's distribution gives trajectories that are not finite numbers; fit it again")
-        inverse = np.linalg.inv(way.distribution.covariance_at(t) + 1e-6 * np.eye(3))  # it vanishes at the start
-        paths.append(drawn)
-        unlikely.append(np.einsum("nta,tab,ntb->n", drawn - mean, inverse, drawn - mean) / waypoints - 2 * np.log(way.share))
+    paths = [
+        np.concatenate([way.distribution.mean_at(t)[None], way.distribution.sample(count, t, rng)])
+        for way, count in zip(ways, counts, strict=True)
+    ]
+    if not all(np.isfinite(part).all() for part in paths):
+        raise ValueError("the skill's distribution gives trajectories that are not finite numbers; fit it again")
     of_way = [np.full(len(part), k) for k, part in enumerate(paths)]
     means_first = lambda parts: np.concatenate([part[:1] for part in parts] + [part[1:] for part in parts])
-    return means_first(paths), means_first(unlikely), means_first(of_way)
+    return means_first(paths), means_first(of_way)
+
+
+def _unlikely(way, points) -> float:
+    """Squared Mahalanobis distance of points (N, 3) to the mean of a way, on average, and twice the negative log share."""
+    t = np.linspace(0, 1, len(points))
+    away = points - way.distribution.mean_at(t)
+    inverse = np.linalg.inv(way.distribution.covariance_at(t) + 1e-6 * np.eye(3))  # it vanishes at the start
+    return np.einsum("ta,tab,tb->", away, inverse, away) / len(points) - 2 * np.log(way.share)
+
+
+def _detours(search, ways, attempts, farthest) -> dict[int, Moved | None]:
+    """{index: the moved mean} of each way whose mean is refused."""
+    refused = [k for k in range(len(ways)) if attempts[k].refusal] if farthest > 0 else []
+    return {
+        MOVED - k: moved_mean(search, ways[k].distribution, attempts[k], MOVED - k, farthest)
+        for k in refused
+    }
+
+
+def _said(detour, index) -> str:
+    if detour is None:
+        return f"{title(index)}: no posture of the arm reaches the end"
+    if detour.attempt.refusal:
+        return detour.attempt.refusal
+    return f"the mean moved by at most {1e3 * detour.distance:.0f} mm ({detour.deviations:.1f} deviations)"
 
 
 def _in_order(attempts, unlikely, comfortable) -> list[Attempt]:
@@ -229,8 +262,8 @@ def _timed_refusal(model, timed, index, margin) -> str:
     return swept_refusal(model, timed.joints, timed.waypoint, index, margin - RESOLUTION)
 
 
-def _plan(arm, timed, refusals, chosen, way, feasible) -> Plan:
-    said = tuple(refusals[k] for k in sorted(refusals))
+def _plan(arm, timed, refusals, chosen, samples, way, moved, feasible) -> Plan:
+    said = tuple(refusals[k] for k in sorted(refusals) if k >= 0)
     return Plan(
         timed.times,
         timed.joints,
@@ -240,8 +273,9 @@ def _plan(arm, timed, refusals, chosen, way, feasible) -> Plan:
         timed.distance[:, ITSELF],
         timed.tip,
         said,
-        len(way),
+        samples,
         chosen,
         feasible,
-        int(way[chosen]),
+        way,
+        moved,
     )
