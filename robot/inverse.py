@@ -2,8 +2,9 @@
 
     solve     one target: damped least squares from several starts (kinematics.py), then towards comfort in the null space
     follow    a path, from a given posture on; each posture is the one nearest to a posture at rest
-    choose    a path, over all ways to hold the arm along it: every branch is followed over the whole path, forwards and
-              backwards from postures found at several of its waypoints, and the smoothest and most comfortable is taken
+    choose    a path, over all ways to hold the arm along it: many branches are followed at once, a stretch of the path at
+              a time and drawn to several sides, and those of least cost that differ are kept (dynamic programming, with a
+              beam in place of all states); the smoothest and most comfortable whole path is taken
 
 How the hand is turned is asked for by a Tool: free, kept, pointed along an axis, or along the path's tangent.
 """
@@ -17,7 +18,7 @@ from robot.kinematics import POINTED, POSE, POSITION
 
 POSITION_TOLERANCE, ROTATION_TOLERANCE = 1e-3, 1e-2  # m, rad
 LARGEST_STEP = 0.2  # rad between neighbours of a path; more is a jump to another branch
-ANCHORS, BRANCHES = 3, 8  # waypoints at which branches are looked for, and how many are followed from each
+STRETCHES, BEGINNINGS, BEAM = 8, 24, 10  # of a path; branches at its first waypoint; branches kept after each stretch
 APART = 0.3  # rad: postures nearer to each other than this are of one branch
 TOOLS = ("free", "kept", "pointed", "tangent")
 
@@ -134,53 +135,59 @@ def _track(arm, poses, rows, slack, start, rest, gain):
     return kinematics.track(arm.chain, arm.lower, arm.upper, poses, rests, start.copy(), float(gain), rows, float(slack), 1e-5)
 
 
-def choose(arm, poses, rows, start=None, slack=0.0, seed=0, largest_step=LARGEST_STEP) -> np.ndarray:
+def choose(arm, poses, rows, start=None, slack=0.0, seed=0) -> np.ndarray:
     """Postures (T, J) along poses (T, 4, 4), of which ``rows`` count, on the best branch over the whole path.
 
     start (J,): where the path begins; where None, any posture at its first waypoint. Raises NoSolution of the branch
     that comes farthest.
     """
-    best, cost, farthest = None, np.inf, None
-    anchors = np.unique(np.linspace(0, len(poses) - 1, ANCHORS).astype(int))
-    for k in anchors[::-1] if start is not None else anchors:
-        for q in branches(arm, poses[k], rows, slack, seed):
-            try:
-                path = _through(arm, poses, rows, slack, int(k), q, start, largest_step)
-            except NoSolution as error:
-                farthest = error if farthest is None or error.waypoint > farthest.waypoint else farthest
-                continue
-            if (price := discomfort(arm, path)) < cost:
-                best, cost = path, price
-    if best is None:
-        raise farthest or NoSolution(f"{arm.name} reaches none of {len(anchors)} waypoints along the path", 0, poses[:0, 0])
-    return best
+    begun = [start] if start is not None else branches(arm, poses[0], rows, slack, seed)
+    if not begun:
+        why = f"{arm.name} reaches the first waypoint in no posture that was tried"
+        raise NoSolution(why, 0, np.zeros((0, len(arm.home))))
+    rng, done = np.random.default_rng(seed), 0
+    kept = [np.array(q)[None] for q in begun]  # each with its beginning in front, which is dropped at the end
+    for stretch in np.array_split(poses, min(STRETCHES, len(poses))):
+        sides = [arm.home, *arm.random(3, rng)]
+        longer, failure = [], None
+        for path in kept:
+            for side in (path[-1], *sides):
+                try:
+                    longer.append(np.vstack([path, _drawn(arm, stretch, rows, slack, path[-1], side)]))
+                except NoSolution as error:
+                    failure = error if failure is None or error.waypoint > failure.waypoint else failure
+        if not longer:
+            where = f"(waypoint {done + failure.waypoint + 1} of {len(poses)} of the whole path)"
+            raise NoSolution(f"{failure} {where}", done + failure.waypoint, kept[0][1:], failure.posture)
+        kept, done = _different(sorted(longer, key=lambda path: discomfort(arm, path)), BEAM), done + len(stretch)
+    return kept[0][1:]
 
 
-def branches(arm, pose, rows, slack, seed, count=BRANCHES, tries=40) -> list[np.ndarray]:
-    """Up to ``count`` postures (J,) that have the pose, farther than APART from each other, the most comfortable first."""
+def _drawn(arm, poses, rows, slack, q, side) -> np.ndarray:
+    """From posture q on along poses, drawn towards the posture ``side`` at a pace that is no jump."""
+    share = min(1.0, len(poses) * LARGEST_STEP / 4 / max(np.abs(side - q).max(), 1e-9))
+    rest = q + share * np.linspace(0, 1, len(poses) + 1)[1:, None] * (side - q)
+    return follow(arm, poses, rows, q, rest, 0.5, POSITION_TOLERANCE, ROTATION_TOLERANCE, LARGEST_STEP, slack)
+
+
+def _different(paths, count) -> list[np.ndarray]:
+    """The first ``count`` paths that end farther than APART from those before."""
+    kept = []
+    for path in paths:
+        if len(kept) < count and all(np.abs(path[-1] - other[-1]).max() > APART for other in kept):
+            kept.append(path)
+    return kept
+
+
+def branches(arm, pose, rows, slack, seed, tries=60) -> list[np.ndarray]:
+    """Up to BEGINNINGS postures (J,) that have the pose, farther than APART from each other, the most comfortable first."""
     found = []
     for q in np.vstack([arm.home, arm.random(tries, seed)]):
         position, rotation = kinematics.reach(arm.chain, arm.lower, arm.upper, pose, q, rows, slack, 60, 1e-6, 0.8)
         if position < POSITION_TOLERANCE / 10 and rotation < ROTATION_TOLERANCE / 10:
-            if all(np.abs(q - other).max() > APART for other in found):
-                found.append(q.copy())
-    return sorted(found, key=lambda q: np.linalg.norm(q - arm.home))[:count]
-
-
-def _through(arm, poses, rows, slack, k, q, start, largest_step) -> np.ndarray:
-    """The whole path by way of posture q at waypoint k, or drawn towards it where the path has its start."""
-    settings = POSITION_TOLERANCE, ROTATION_TOLERANCE, largest_step, slack
-    if start is not None:
-        share = np.clip(np.arange(len(poses)) / max(k, 1), 0, 1)[:, None]
-        return follow(arm, poses, rows, start, start + share * (q - start), 0.8, *settings)
-    after = follow(arm, poses[k:], rows, q, arm.home, 0.05, *settings)
-    if k == 0:
-        return after
-    try:
-        before = follow(arm, poses[k::-1], rows, q, arm.home, 0.05, *settings)[::-1]
-    except NoSolution as error:
-        raise NoSolution(str(error), k - error.waypoint, after[:0]) from None
-    return np.vstack([before[:-1], after])
+            found.append(q[None])
+    found = _different(sorted(found, key=lambda q: np.linalg.norm(q - arm.home)), BEGINNINGS)
+    return [q[0] for q in found]
 
 
 def discomfort(arm, path) -> float:

@@ -5,7 +5,8 @@
 
 Poses are those of random postures inside the limits; solved: within 1 mm and 0.01 rad, and inside the limits. Peers begin
 at home as ours does, then at random postures. Times are of CPU [ms]. Then poses that cannot be had, 200 for each arm: half
-beyond the reach; half inside it, near postures beyond a limit, of which those are kept that 300 starts do not reach. Last
+beyond the reach; a quarter whose place can be had, but turned so that the last joint would be farther from the second
+than the links between them are long; a quarter of postures beyond a limit that 2,000 starts do not reach. Last
 paths of 200 waypoints that are known to exist (smooth random postures' own), by orientation kept or free.
 """
 
@@ -15,10 +16,11 @@ import time
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from robot import kinematics
 from robot.arm import Arm, NoSolution
 from robot.bullet import connect
 from robot.inverse import choose
-from robot.kinematics import POSE, POSITION, reach
+from robot.kinematics import POSE, POSITION
 
 POSITION_MM, ROTATION = 1.0, 0.01
 
@@ -32,11 +34,6 @@ class Bullet:
         self.tip = next(i for i in range(self.client.getNumJoints(self.body)) if self.client.getJointInfo(self.body, i)[12].decode() == arm.tip_link)
         movable = [i for i in range(self.client.getNumJoints(self.body)) if self.client.getJointInfo(self.body, i)[2] != 4]
         self.columns = [movable.index(i) for i in arm.joint_indices]
-        self.ranges = {"lowerLimits": [-3.0] * len(movable), "upperLimits": [3.0] * len(movable), "jointRanges": [6.0] * len(movable),
-                       "restPoses": [0.0] * len(movable)}  # fmt: skip
-        for values, arm_values in (("lowerLimits", arm.lower), ("upperLimits", arm.upper), ("jointRanges", arm.upper - arm.lower), ("restPoses", arm.home)):
-            for column, value in zip(self.columns, arm_values):
-                self.ranges[values][column] = float(value)
 
     def __call__(self, pose):
         for start in np.vstack([self.arm.home, self.arm.random(self.restarts, 0)]):
@@ -44,7 +41,7 @@ class Bullet:
                 self.client.resetJointState(self.body, joint, value)
             answer = self.client.calculateInverseKinematics(
                 self.body, self.tip, pose[:3, 3], Rotation.from_matrix(pose[:3, :3]).as_quat(), maxNumIterations=200,
-                residualThreshold=1e-5, **self.ranges,
+                residualThreshold=1e-5,
             )  # fmt: skip
             q = np.array(answer)[self.columns]
             if solved(self.arm, q, pose):
@@ -135,7 +132,8 @@ def reachable(arm, count, peers) -> None:
 
 def unreachable(arm, count) -> None:
     refused, reasons, times = 0, 0, []
-    for target in [*beyond(arm, count // 2), *barred(arm, count - count // 2)]:
+    targets = [*beyond(arm, count // 2), *turned_away(arm, count // 4), *barred(arm, count // 4)]
+    for target in targets:
         started = time.process_time()
         try:
             arm.ik(target)
@@ -143,7 +141,7 @@ def unreachable(arm, count) -> None:
             refused += 1
             reasons += "short, with" in str(error)
         times.append(1e3 * (time.process_time() - started))
-    print(f"| {arm.name} | {refused} of {count} | {reasons} | {np.median(times):.1f} | {max(times):.1f} |", flush=True)
+    print(f"| {arm.name} | {refused} of {len(targets)} | {reasons} | {np.median(times):.1f} | {max(times):.1f} |", flush=True)
 
 
 def beyond(arm, count):
@@ -154,15 +152,33 @@ def beyond(arm, count):
     return poses
 
 
+def turned_away(arm, count):
+    """Poses near the rim of the reach with the hand turned inwards: the place alone can be had."""
+    moving = np.flatnonzero(arm.chain[4] >= 0)
+    q = arm.random(4000, 5)
+    second, last = (kinematics.batch_poses(*arm.chain, q)[:, moving[k], :3, 3] for k in (1, -1))
+    longest = np.linalg.norm(arm.chain[1][moving[1] + 1 : moving[-1] + 1, :3, 3], axis=1).sum()
+    found, poses = [], arm.fk(q)
+    tip_from_last = np.einsum("nji,nj->ni", poses[:, :3, :3], last - poses[:, :3, 3])
+    for pose, shoulder, back in zip(poses, second, tip_from_last):
+        out = pose[:3, 3] - shoulder
+        pose[:3, :3] = Rotation.align_vectors(out[None], back[None])[0].as_matrix()
+        if np.linalg.norm(pose[:3, 3] + pose[:3, :3] @ back - shoulder) > longest + 0.01 and len(found) < count:
+            arm.ik(pose, position_only=True)
+            found.append(pose)
+    return found
+
+
 def barred(arm, count):
-    """Poses within the reach that no posture inside the limits has, as far as 300 starts tell."""
-    rng, found, starts = np.random.default_rng(3), [], arm.random(300, 4)
+    """Poses of postures beyond a limit that no posture inside the limits has, as far as 2,000 starts tell."""
+    rng, found, starts = np.random.default_rng(3), [], np.vstack([arm.home, arm.random(2000, 4)])
     while len(found) < count:
         q = arm.random(1, int(rng.integers(1 << 30)))[0]
         j = rng.integers(len(q))
         q[j] = (arm.upper[j] + rng.uniform(0.3, 1.2)) if rng.random() < 0.5 else (arm.lower[j] - rng.uniform(0.3, 1.2))
         pose = arm.fk(q)
-        if not any(sum(reach(arm.chain, arm.lower, arm.upper, pose, s.copy(), POSE, 0.0, 80, 1e-6, 0.8)) < 2e-3 for s in starts):
+        _, position, rotation = kinematics.solve(arm.chain, arm.lower, arm.upper, pose, starts, POSE, 0.0, 80, 1e-3, 1e-2)
+        if position > 1e-3 or rotation > 1e-2:
             found.append(pose)
     return found
 
