@@ -6,7 +6,7 @@ Notation
     pair        (a, b): a piece of the arm and a piece of the world, or two pieces of the arm
     lower       a bound from below on a pair's clearance, from balls that cover the arm (compiled, all postures at once)
 
-Exact distances come from FCL, asked only for pairs whose lower bound is below the smallest distance found so far.
+Exact distances come from FCL, checked where meshes are involved (separation.py), and asked only for pairs whose lower bound is below the smallest distance found so far.
 Along a joint-space segment from q0 to q1 no point of a link strays farther than
 
     deviation = (sum |dq|)^2 R / 8        (R: a bound on the arm's length; the second derivative is at most 8 of this)
@@ -18,17 +18,20 @@ from the straight line between its two places, which are at most ``motion`` apar
 and segments are halved until this bound suffices or is sharper than the resolution. Nothing can be skipped.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import fcl
 import numpy as np
 from numba import njit
 
+from robot import separation
 from robot.kinematics import PRISMATIC
+from robot.separation import AGREED, Solid, gap
 from robot.shapes import BOX, CAPSULE, CYLINDER, body_pieces, link_pieces, region_pieces
 
 WORLD, ITSELF = 0, 1
 NEAR_AT_HOME = 0.01  # m: what is nearer in a comfortable posture is a matter of coarse geometry
+SLIDING = 1e-3  # m, by which a held thing may come nearer to what it rests on
 ALWAYS_TOUCHING = 0.9  # share of random postures: such a pair is a matter of coarse geometry, not of the posture
 
 
@@ -44,21 +47,27 @@ class CollisionModel:
     """The arm among the bodies of a world, where they stand when this is made.
 
     arm: Arm. world: has ``client`` and ``bodies``, or None for the arm alone. regions: volumes in the world's frame
-    that the arm may not enter (teach.hull.Region); they count as bodies of the world. ignored: further pairs of names
-    that may touch. cap: larger clearances are not told apart [m].
+    that the arm may not enter (teach.hull.Region); they count as bodies of the world. only: {region: names of links}, the
+    regions that bind those links alone. held: {body: posture (J,)} bodies of the world that the tip carries, grasped where
+    they stand at that posture; what they rest on there (nearer than ``margin`` [m]) they may stay as near to, not nearer.
+    ignored: further pairs of names that may touch. cap: larger clearances are not told apart [m].
 
     Links that cannot move are not compared with the world (the base may stand on a table or in it). Of the arm's own
     pairs those are left out that are neighbours, (nearly) touch at home, or touch in nearly all random postures.
     """
 
-    def __init__(self, arm, world=None, regions=(), ignored=(), cap=0.3):
+    def __init__(self, arm, world=None, regions=(), ignored=(), cap=0.3, *, only=None, held=None, margin=0.01):
         self.arm, self.cap = arm, float(cap)
-        self.links, self.pieces = (tuple(column) for column in zip(*link_pieces(arm.description)))
         bodies = body_pieces(world.client, world.bodies) if world is not None else []
-        self.surroundings = (*bodies, *region_pieces(regions))
+        self._only, self._held = _checked(only or {}, held or {}, arm, bodies, regions)
+        carried = [_carried(arm, piece, self._held[piece.name]) for piece in bodies if piece.name in self._held]
+        self.links, self.pieces = (tuple(column) for column in zip(*link_pieces(arm.description), *carried))
+        self.surroundings = (*(piece for piece in bodies if piece.name not in self._held), *region_pieces(regions))
         self._ignored = {frozenset(pair) for pair in ignored}
         self._objects = [fcl.CollisionObject(piece.geometry) for piece in self.pieces]
         self._objects += [fcl.CollisionObject(p.geometry, _fcl_pose(p.frame_from_piece)) for p in self.surroundings]
+        self._request = fcl.DistanceRequest(enable_nearest_points=True, enable_signed_distance=True)
+        self._solids = [Solid(piece) for piece in self.pieces + self.surroundings]
         self._corners = np.stack([piece.corners() for piece in self.pieces])  # (P, 8, 3) in the links' frames
         self._link_of_piece = np.array(self.links)
         self._reach = _reach(arm, self._corners)
@@ -66,6 +75,7 @@ class CollisionModel:
         self._pairs = np.array(self._world_pairs(), dtype=np.int64).reshape(-1, 2)
         self._own = 0
         self._choose_own_pairs()
+        self._allowed = self._resting(margin)  # (pairs,) [m], what is added to a pair's distance
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -120,10 +130,12 @@ class CollisionModel:
     def distances(self, q, pairs) -> np.ndarray:
         """Clearance (K,) [m] of one pair each, at q (K, J)."""
         poses = self.arm.link_poses(q)
-        return np.array([self._distance(*self._pairs[pair], T, set()) for T, pair in zip(poses, pairs)])
+        distance = [self._distance(*self._pairs[pair], T, set()) for T, pair in zip(poses, pairs)]
+        return np.array(distance) + self._allowed[pairs]
 
     def _lower(self, poses) -> np.ndarray:
-        return _lower_bounds(poses, self._balls, self._first, self._link_of_piece, self._pairs, *self._bounds)
+        bounds = _lower_bounds(poses, self._balls, self._first, self._link_of_piece, self._pairs, *self._bounds)
+        return bounds + self._allowed
 
     def _exact(self, poses, lower, start, cap, placed):
         """Smallest exact distance among the pairs from ``start``, and which. Overlapping pairs are all measured."""
@@ -132,7 +144,7 @@ class CollisionModel:
             if lower[k] >= max(best, 0.0) or lower[k] >= cap:
                 break
             a, b = self._pairs[start + k]
-            distance = self._distance(a, b, poses, placed)
+            distance = self._distance(a, b, poses, placed) + self._allowed[start + k]
             if distance < best:
                 best, nearest = distance, start + k
         return best, nearest
@@ -140,11 +152,22 @@ class CollisionModel:
     def _distance(self, a, b, poses, placed) -> float:
         for piece in (a, b):
             if piece < len(self.pieces) and piece not in placed:
-                pose = poses[self._link_of_piece[piece]] @ self.pieces[piece].frame_from_piece
-                self._objects[piece].setTransform(_fcl_pose(pose))
+                self._objects[piece].setTransform(_fcl_pose(self._pose(piece, poses)))
                 placed.add(piece)
-        request = fcl.DistanceRequest(enable_signed_distance=True)
-        return fcl.distance(self._objects[a], self._objects[b], request, fcl.DistanceResult())
+        found = fcl.DistanceResult()
+        distance = fcl.distance(self._objects[a], self._objects[b], self._request, found)
+        if distance <= 0 or not (self._solids[a].mesh or self._solids[b].mesh):
+            return distance
+        between = np.subtract(*found.nearest_points)
+        solids = [self._solids[piece].arrays(self._pose(piece, poses)) for piece in (a, b)]
+        certain = gap(*solids[0], *solids[1], between / max(np.linalg.norm(between), 1e-12))
+        return distance if certain > distance - AGREED else separation.distance(*solids)
+
+    def _pose(self, piece, poses) -> np.ndarray:
+        """(4, 4) where a piece is, the links being at ``poses`` (L, 4, 4)."""
+        if piece >= len(self.pieces):
+            return self.surroundings[piece - len(self.pieces)].frame_from_piece
+        return poses[self._link_of_piece[piece]] @ self.pieces[piece].frame_from_piece
 
     def sweep(self, path, required=0.0, resolution=1e-3, cap=None) -> Sweep:
         """Clearance of the straight joint-space motions between the postures of ``path`` (T, J), bounded from below.
@@ -218,7 +241,17 @@ class CollisionModel:
             for a in moving
             for b in range(len(self.pieces), len(names))
             if frozenset((names[a], names[b])) not in self._ignored
+            and names[a] in self._only.get(names[b], names)
         ]
+
+    def _resting(self, margin) -> np.ndarray:
+        """How much nearer than ``margin`` held things are, where they are grasped, to what they rest on."""
+        allowed = np.zeros(len(self._pairs))
+        for name, posture in self._held.items():
+            poses, placed = self.arm.link_poses(posture)[0], set()
+            for k in np.flatnonzero([self.names[a] == name for a, _ in self._pairs[: len(self._pairs) - self._own]]):
+                allowed[k] = max(0.0, margin + SLIDING - self._distance(*self._pairs[k], poses, placed))
+        return np.where(allowed > SLIDING, allowed, 0.0)
 
     def _choose_own_pairs(self):
         """Start from every pair of links that are not neighbours; drop those that (nearly) touch at home, or nearly always."""
@@ -237,15 +270,36 @@ class CollisionModel:
             and parents.get(groups[b]) != groups[a]
             and frozenset((self.names[a], self.names[b])) not in self._ignored
         ]
-        postures = np.vstack([self.arm.home, self.arm.random(100, 0)])
+        postures = np.vstack([*self._held.values(), self.arm.home, self.arm.random(100, 0)])
+        usual = len(self._held)  # where home stands
         clearance = np.zeros((len(postures), len(candidates)))
         for n, poses in enumerate(self.arm.link_poses(postures)):
             placed = set()
             clearance[n] = [self._distance(a, b, poses, placed) for a, b in candidates]
-        kept = (clearance[0] > NEAR_AT_HOME) & ((clearance <= 0).mean(axis=0) < ALWAYS_TOUCHING)
+        near = np.array([NEAR_AT_HOME if not {self.names[a], self.names[b]} & set(self._held) else -np.inf for a, b in candidates])
+        kept = (clearance[usual] > near) & ((clearance <= 0).mean(axis=0) < ALWAYS_TOUCHING)
         own = np.array([pair for pair, keep in zip(candidates, kept) if keep], dtype=np.int64).reshape(-1, 2)
         self._own = len(own)
         self._pairs = np.vstack([self._pairs, own])
+
+
+def _checked(only, held, arm, bodies, regions):
+    """``only`` and ``held`` as they are; ValueError where they name what is not there."""
+    links, named = arm.link_names, {region.name for region in regions}
+    for region, bound in only.items():
+        unknown = [region] * (region not in named) or [link for link in bound if link not in links]
+        if unknown:
+            raise ValueError(f"a region that binds links names {unknown[0]!r}; there are {', '.join([*sorted(named), *links])}")
+    for name, posture in held.items():
+        if name not in {piece.name for piece in bodies}:
+            raise ValueError(f"{name!r} cannot be held; there are {', '.join(sorted({piece.name for piece in bodies})) or 'no bodies'}")
+    return only, {name: np.array(posture, dtype=float) for name, posture in held.items()}
+
+
+def _carried(arm, piece, posture) -> tuple:
+    """(index of the tip's link, piece in that link's frame) of a piece of the world that is grasped at a posture."""
+    pose = np.linalg.inv(arm.fk(posture)) @ piece.frame_from_piece
+    return arm.link_names.index(arm.tip_link), replace(piece, frame_from_piece=pose)
 
 
 def _keep_nearest(seen, who, owner, distance, pair):

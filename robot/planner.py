@@ -14,18 +14,20 @@ Likelihood is compared by the squared Mahalanobis distance to the conditioned me
 """
 
 from dataclasses import dataclass, fields, replace
+from itertools import product
 from pathlib import Path
 from zipfile import BadZipFile
 
 import numpy as np
 from scipy.interpolate import CubicSpline
+from scipy.spatial import ConvexHull
 
 from robot.attempt import RESOLUTION, Attempt, Search, swept_refusal, title
 from robot.collision import ITSELF, WORLD, CollisionModel
 from robot.deform import Moved, moved_mean
 from robot.timing import motion_spline, time_path
 from scene.files import replacing
-from teach.hull import visual_hull
+from teach.hull import Region, visual_hull
 
 MOVED = -1  # the index of the first way's moved mean; that of the second is one below
 POSITION_TOLERANCE = 2e-3  # m, of the timed motion against the candidate
@@ -126,6 +128,9 @@ def plan(
     postures=12,
     rate=50.0,
     moved=0.2,
+    keep_out=(),
+    outlined_for=None,
+    held=(),
 ) -> Plan:
     """Choose, check and time a motion of the arm among the bodies of the world.
 
@@ -133,14 +138,20 @@ def plan(
     [rad]: the present posture (home). seed: of the samples. samples: candidates, the mean among them. waypoints: of
     each path. moved [m]: how far a mean that is refused may be moved at most, 0 for not at all. margin [m]: least clearance to anything. comfortable [m]: clearance beyond which more likely is better
     than more clear. postures: end postures tried on the mean. rate [Hz]: samples of the plan.
-    The regions that skill.keep_out outlines are kept clear of as if they were bodies. The motion takes at least
+    keep_out: boxes in the world's frame to keep out of, mappings {name, lower (3,), upper (3,) [m], links}; links: the
+    only ones that must keep out of it, all where it is absent. outlined_for: the only links that must keep out of the
+    regions that skill.keep_out outlines, all where it is None. held: bodies that the hand carries from the start.
+    Regions are kept clear of as if they were bodies. The motion takes at least
     ``skill.duration``. Raises ValueError where the start itself is out of limits or too close to something, SketchError
     where outlines bound no region.
     """
     if samples < 1 or waypoints < 2:
         raise ValueError(f"a plan needs at least 1 sample and 2 waypoints, not {samples} and {waypoints}")
     start = np.array(arm.home if start is None else start, dtype=float)
-    model = CollisionModel(arm, world, visual_hull(skill.keep_out))
+    drawn, boxes = visual_hull(skill.keep_out), [_box(volume) for volume in keep_out]
+    only = {region.name: outlined_for for region in drawn if outlined_for is not None}
+    only |= {volume["name"]: volume["links"] for volume in keep_out if volume.get("links") is not None}
+    model = CollisionModel(arm, world, [*drawn, *boxes], only=only, held={name: start for name in held}, margin=margin)
     _check_start(arm, model, start, margin)
     ways = skill.starting_at(arm.fk(start)[:3, 3])[:samples]
     candidates, way = _candidates(ways, samples, waypoints, seed)
@@ -164,6 +175,18 @@ def plan(
     least_bad = max((a for a in attempts if a.index >= 0), key=lambda a: a.rank)
     timed = _untimely(arm, model, least_bad, skill.duration, rate)
     return _plan(arm, timed, refusals, least_bad.index, samples, int(way[least_bad.index]), said, False)
+
+
+def _box(volume) -> Region:
+    """A Region from its mapping. Raises ValueError where that is not one."""
+    unknown = set(volume) - {"name", "lower", "upper", "links"}
+    if unknown or not {"name", "lower", "upper"} <= set(volume):
+        raise ValueError(f"a box to keep out of has a name, lower, upper and perhaps links, not {', '.join(volume)}")
+    lower, upper = (np.array(volume[key], dtype=float) for key in ("lower", "upper"))
+    if lower.shape != (3,) or upper.shape != (3,) or not (lower < upper).all():
+        raise ValueError(f"the box {volume['name']} must have lower below upper, three numbers each [m]")
+    corners = np.where(np.array(list(product((False, True), repeat=3))), upper, lower)
+    return Region(volume["name"], ((corners, ConvexHull(corners).simplices),))
 
 
 def _check_start(arm, model, start, margin):
