@@ -6,7 +6,7 @@ Notation
     pair        (a, b): a piece of the arm and a piece of the world, or two pieces of the arm
     lower       a bound from below on a pair's clearance, from balls that cover the arm (compiled, all postures at once)
 
-Exact distances come from FCL, checked where meshes are involved (separation.py), and asked only for pairs whose lower bound is below the smallest distance found so far.
+Exact distances come from FCL, checked (separation.py), and asked only for pairs whose lower bound is below the smallest distance found so far.
 Along a joint-space segment from q0 to q1 no point of a link strays farther than
 
     deviation = (sum |dq|)^2 R / 8        (R: a bound on the arm's length; the second derivative is at most 8 of this)
@@ -110,7 +110,7 @@ class CollisionModel:
         distance, pair = np.full((len(poses), 2), cap), np.full((len(poses), 2), -1)
         split = len(self._pairs) - self._own
         for n in np.flatnonzero((lower < cap).any(axis=1)):
-            placed = set()
+            placed = {}
             for group, (start, stop) in enumerate(((0, split), (split, len(self._pairs)))):
                 distance[n, group], pair[n, group] = self._exact(poses[n], lower[n, start:stop], start, cap, placed)
         return distance, pair
@@ -130,7 +130,7 @@ class CollisionModel:
     def distances(self, q, pairs) -> np.ndarray:
         """Clearance (K,) [m] of one pair each, at q (K, J)."""
         poses = self.arm.link_poses(q)
-        distance = [self._distance(*self._pairs[pair], T, set()) for T, pair in zip(poses, pairs)]
+        distance = [self._distance(*self._pairs[pair], T, {}) for T, pair in zip(poses, pairs)]
         return np.array(distance) + self._allowed[pairs]
 
     def _lower(self, poses) -> np.ndarray:
@@ -150,24 +150,25 @@ class CollisionModel:
         return best, nearest
 
     def _distance(self, a, b, poses, placed) -> float:
+        """Of two pieces, the links being at ``poses`` (L, 4, 4). placed: those that stand there already, {piece: solid}."""
         for piece in (a, b):
-            if piece < len(self.pieces) and piece not in placed:
-                self._objects[piece].setTransform(_fcl_pose(self._pose(piece, poses)))
-                placed.add(piece)
+            if piece not in placed:
+                placed[piece] = self._place(piece, poses)
         found = fcl.DistanceResult()
         distance = fcl.distance(self._objects[a], self._objects[b], self._request, found)
-        if distance <= 0 or not (self._solids[a].mesh or self._solids[b].mesh):
+        if distance <= 0:
             return distance
-        between = np.subtract(*found.nearest_points)
-        solids = [self._solids[piece].arrays(self._pose(piece, poses)) for piece in (a, b)]
-        certain = gap(*solids[0], *solids[1], between / max(np.linalg.norm(between), 1e-12))
-        return distance if certain > distance - AGREED else separation.distance(*solids)
+        (ax, ay, az), (bx, by, bz) = found.nearest_points
+        certain = gap(*placed[a], *placed[b], ax - bx, ay - by, az - bz)
+        return distance if certain > distance - AGREED else separation.distance(placed[a], placed[b])
 
-    def _pose(self, piece, poses) -> np.ndarray:
-        """(4, 4) where a piece is, the links being at ``poses`` (L, 4, 4)."""
+    def _place(self, piece, poses) -> tuple:
+        """The piece where it is, for separation.py; a piece of the arm is put there for FCL too."""
         if piece >= len(self.pieces):
-            return self.surroundings[piece - len(self.pieces)].frame_from_piece
-        return poses[self._link_of_piece[piece]] @ self.pieces[piece].frame_from_piece
+            return self._solids[piece].arrays(self.surroundings[piece - len(self.pieces)].frame_from_piece)
+        pose = poses[self._link_of_piece[piece]] @ self.pieces[piece].frame_from_piece
+        self._objects[piece].setTransform(_fcl_pose(pose))
+        return self._solids[piece].arrays(pose)
 
     def sweep(self, path, required=0.0, resolution=1e-3, cap=None) -> Sweep:
         """Clearance of the straight joint-space motions between the postures of ``path`` (T, J), bounded from below.
@@ -248,7 +249,7 @@ class CollisionModel:
         """How much nearer than ``margin`` held things are, where they are grasped, to what they rest on."""
         allowed = np.zeros(len(self._pairs))
         for name, posture in self._held.items():
-            poses, placed = self.arm.link_poses(posture)[0], set()
+            poses, placed = self.arm.link_poses(posture)[0], {}
             for k in np.flatnonzero([self.names[a] == name for a, _ in self._pairs[: len(self._pairs) - self._own]]):
                 allowed[k] = max(0.0, margin + SLIDING - self._distance(*self._pairs[k], poses, placed))
         return np.where(allowed > SLIDING, allowed, 0.0)
@@ -274,7 +275,7 @@ class CollisionModel:
         usual = len(self._held)  # where home stands
         clearance = np.zeros((len(postures), len(candidates)))
         for n, poses in enumerate(self.arm.link_poses(postures)):
-            placed = set()
+            placed = {}
             clearance[n] = [self._distance(a, b, poses, placed) for a, b in candidates]
         near = np.array([NEAR_AT_HOME if not {self.names[a], self.names[b]} & set(self._held) else -np.inf for a, b in candidates])
         kept = (clearance[usual] > near) & ((clearance <= 0).mean(axis=0) < ALWAYS_TOUCHING)

@@ -179,7 +179,7 @@ def test_the_fast_bound_never_hides_a_nearer_pair(world):
     q = arm.random(40, seed=2)
     exact = []
     for poses in arm.link_poses(q):
-        placed = set()
+        placed = {}
         exact.append(min(model._distance(a, b, poses, placed) for a, b in model._pairs))
     np.testing.assert_allclose(model.clearance(q), np.minimum(exact, CAP), atol=1e-6)
 
