@@ -1,5 +1,6 @@
 """plan: a distribution of trajectories becomes one checked and timed motion.
 
+    0. Go to where the motion begins, if the hand is elsewhere (approach.py).
     1. Condition the distribution on where the hand is. The candidates are its mean and samples of it; where the skill
        knows several ways, the mean of each and samples of each by its share.
     2. For each, find a joint path that keeps the tip on it (postures.py: which way the hand is turned is free unless
@@ -13,105 +14,23 @@
 Likelihood is compared by the squared Mahalanobis distance to the conditioned mean, averaged over the path.
 """
 
-from dataclasses import dataclass, fields, replace
-from itertools import product
-from pathlib import Path
-from zipfile import BadZipFile
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.interpolate import CubicSpline
-from scipy.spatial import ConvexHull
 
+from robot.approach import approach as approach_path
 from robot.attempt import RESOLUTION, Attempt, Search, swept_refusal, title
 from robot.collision import ITSELF, WORLD, CollisionModel
 from robot.deform import Moved, moved_mean
-from robot.timing import motion_spline, time_path
-from scene.files import replacing
-from teach.hull import Region, visual_hull
+from robot.inverse import NoSolution, branches, path_poses
+from robot.keepout import regions_of
+from robot.motion import Plan
+from robot.timing import time_path
 
 MOVED = -1  # the index of the first way's moved mean; that of the second is one below
+BESIDE = 5e-3  # m, beyond the margin, for corners of the approach that are rounded
 POSITION_TOLERANCE = 2e-3  # m, of the timed motion against the candidate
-
-
-@dataclass(frozen=True, eq=False)
-class Plan:
-    """A motion and what was checked about it; at rest at both ends, the first row is the present state.
-
-    times (T,) [s]. joints (T, J) [rad]. names: of the joints. position_error (T,) [m]: tip against the candidate
-    followed. clearance (T,) [m]: to the world and the skill's keep-out regions, at most 0.3. self_clearance (T,) [m]: of the arm to itself. tip (T, 3)
-    [m]. refusals: a sentence for each refused candidate. samples: candidates tried. chosen: which is followed, 0 is the
-    mean. way: of the skill's ways the one that is followed, the most usual is 0. feasible: whether the motion passed every check; where False, ``joints`` are the least bad candidate, not to
-    be performed.
-    """
-
-    times: np.ndarray
-    joints: np.ndarray
-    names: tuple[str, ...]
-    position_error: np.ndarray
-    clearance: np.ndarray
-    self_clearance: np.ndarray
-    tip: np.ndarray
-    refusals: tuple[str, ...]
-    samples: int
-    chosen: int
-    feasible: bool
-    way: int = 0
-    moved: str = ""
-
-    @property
-    def sentence(self) -> str:
-        """What came of it, in one line."""
-        if not self.feasible:
-            return f"none of {self.samples} candidates is feasible; {self.refusals[self.chosen]}" + f"; {self.moved}" * bool(self.moved)
-        which = (title(self.chosen) if self.chosen >= 0 else self.moved) + f" (way {self.way + 1})" * (self.way > 0)
-        feasible, clear, error = (
-            self.samples - len(self.refusals),
-            1e3 * self.clearance.min(),
-            1e3 * self.position_error.max(),
-        )
-        return (
-            f"{which} is taken, {feasible} of {self.samples} candidates are feasible: {self.times[-1]:.1f} s, "
-            f"at least {clear:.0f} mm clear of the world, position within {error:.2f} mm"
-        )
-
-    def joint_trajectory(self) -> dict:
-        """In the layout of ROS 2's trajectory_msgs/JointTrajectory; the first point is the present state."""
-        motion = motion_spline(self.times, self.joints)
-        rows = zip(self.times, self.joints, motion(self.times, 1), motion(self.times, 2))
-        points = [
-            {
-                "positions": q.tolist(),
-                "velocities": v.tolist(),
-                "accelerations": a.tolist(),
-                "effort": [],
-                "time_from_start": dict(zip(("sec", "nanosec"), divmod(round(1e9 * t), 10**9))),
-            }
-            for t, q, v, a in rows
-        ]
-        header = {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": ""}
-        return {"header": header, "joint_names": list(self.names), "points": points}
-
-    def save(self, path) -> None:
-        """Write an npz file, whole or not at all."""
-        words = ("names", "refusals", "moved")
-        values = {f.name: np.array(getattr(self, f.name), dtype=str if f.name in words else None) for f in fields(self)}
-        with replacing(path) as temporary:
-            np.savez(temporary, **values)
-
-    @classmethod
-    def load(cls, path) -> "Plan":
-        """Read what ``save`` wrote. Raises FileNotFoundError, or ValueError for any other file."""
-        if not Path(path).is_file():
-            raise FileNotFoundError(f"no plan file {path}")
-        try:
-            with np.load(path, allow_pickle=False) as file:
-                later = {"way": np.array(0), "moved": np.array("")}  # earlier files have none
-                values = {f.name: file[f.name] if f.name in file else later[f.name] for f in fields(cls)}
-        except (ValueError, KeyError, EOFError, OSError, BadZipFile) as error:
-            raise ValueError(f"{path} is not a plan file ({error}); robot.plan writes one") from None
-        words = {name: tuple(values[name].tolist()) for name in ("names", "refusals")}
-        numbers = {name: values[name].item() for name in ("samples", "chosen", "feasible", "way", "moved")}
-        return cls(**values | words | numbers)
 
 
 def plan(
@@ -131,31 +50,65 @@ def plan(
     keep_out=(),
     outlined_for=None,
     held=(),
+    approach=0.15,
 ) -> Plan:
     """Choose, check and time a motion of the arm among the bodies of the world.
 
     skill: Skill. arm: Arm. world: World (or anything with ``client`` and ``bodies``), None for free space. start (J,)
     [rad]: the present posture (home). seed: of the samples. samples: candidates, the mean among them. waypoints: of
-    each path. moved [m]: how far a mean that is refused may be moved at most, 0 for not at all. margin [m]: least clearance to anything. comfortable [m]: clearance beyond which more likely is better
-    than more clear. postures: end postures tried on the mean. rate [Hz]: samples of the plan.
-    keep_out: boxes in the world's frame to keep out of, mappings {name, lower (3,), upper (3,) [m], links}; links: the
-    only ones that must keep out of it, all where it is absent. outlined_for: the only links that must keep out of the
-    regions that skill.keep_out outlines, all where it is None. held: bodies that the hand carries from the start.
-    Regions are kept clear of as if they were bodies. The motion takes at least
-    ``skill.duration``. Raises ValueError where the start itself is out of limits or too close to something, SketchError
-    where outlines bound no region.
+    each path. margin [m]: least clearance to anything. comfortable [m]: clearance beyond which more likely is better
+    than more clear. postures: end postures tried on the mean. rate [Hz]: samples of the plan. moved [m]: how far a mean
+    that is refused may be moved at most, 0 for not at all. keep_out: boxes to keep out of, see keepout.py. outlined_for:
+    the only links that must keep out of the regions that skill.keep_out outlines, all where it is None. held: bodies that
+    the hand carries from the start. approach [m]: where the hand is farther from where the motion was taught to begin, it
+    goes there first; nearer, or where this is None, the motion is conditioned to begin at the hand.
+    Regions are kept clear of as if they were bodies. The motion takes at least ``skill.duration``. Raises ValueError where
+    the start itself is out of limits or too close to something, NoSolution where the beginning cannot be reached,
+    SketchError where outlines bound no region.
     """
     if samples < 1 or waypoints < 2:
         raise ValueError(f"a plan needs at least 1 sample and 2 waypoints, not {samples} and {waypoints}")
     start = np.array(arm.home if start is None else start, dtype=float)
-    drawn, boxes = visual_hull(skill.keep_out), [_box(volume) for volume in keep_out]
-    only = {region.name: outlined_for for region in drawn if outlined_for is not None}
-    only |= {volume["name"]: volume["links"] for volume in keep_out if volume.get("links") is not None}
-    model = CollisionModel(arm, world, [*drawn, *boxes], only=only, held={name: start for name in held}, margin=margin)
+    regions, only = regions_of(skill.keep_out, outlined_for, keep_out)
+    model = CollisionModel(arm, world, regions, only=only, held={name: start for name in held}, margin=margin)
     _check_start(arm, model, start, margin)
-    ways = skill.starting_at(arm.fk(start)[:3, 3])[:samples]
+    lead = None if held or approach is None else _lead(skill, arm, model, start, approach, margin, rate, seed)
+    begin = start if lead is None else lead.joints[-1]
+    search = Search(arm, model, begin, margin, comfortable, postures)
+    motion = _motion(skill, search, samples, waypoints, seed, rate, moved)
+    return motion if lead is None else motion.after(lead, arm.velocity, arm.acceleration)
+
+
+def _lead(skill, arm, model, start, approach, margin, rate, seed) -> Plan | None:
+    """The motion to where the taught one begins, None where the hand is nearer to that than ``approach`` [m]."""
+    tip, begin = arm.fk(start), skill.distribution.mean_at([0.0])[0]
+    if np.linalg.norm(tip[:3, 3] - begin) <= approach:
+        return None
+    pose, rows = path_poses(begin[None])
+    postures = sorted(branches(arm, pose[0], rows, 0.0, seed), key=lambda q: np.abs(q - start).max())
+    clear = [q for q in postures if model.clearance(q) >= margin + BESIDE]
+    where = ", ".join(f"{x:.3f}" for x in begin)
+    advice = "robot.planner.approach=null bends the motion to begin where the hand is"
+    if not clear:
+        raise NoSolution(f"no posture of {arm.name} has the hand where the motion begins ({where}) m and is clear; {advice}")
+    try:
+        path = approach_path(model, start, clear[0], min(margin + BESIDE, model.clearance(start)), seed)
+        times, joints, index = time_path(path, arm.velocity, arm.acceleration, 0.0, rate)
+    except ValueError as error:
+        raise NoSolution(f"the motion begins at ({where}) m: {error}; {advice}") from None
+    distance, _ = model.measure(joints)
+    timed = _Timed(times, joints, index / (len(path) - 1), np.zeros(len(times)), distance, arm.fk(joints)[:, :3, 3])
+    refusal = swept_refusal(model, joints, timed.waypoint, 0, margin - RESOLUTION)
+    if refusal:
+        raise NoSolution(f"on the way to where the motion begins: {refusal.partition(': ')[2]}; {advice}")
+    return _plan(arm, timed, {}, 0, 0, 0, "", True)
+
+
+def _motion(skill, search, samples, waypoints, seed, rate, moved) -> Plan:
+    """The taught motion from the search's start on."""
+    arm, model, comfortable = search.arm, search.model, search.comfortable
+    ways = skill.starting_at(arm.fk(search.start)[:3, 3])[:samples]
     candidates, way = _candidates(ways, samples, waypoints, seed)
-    search = Search(arm, model, start, margin, comfortable, postures)
     attempts = search.all(candidates, skill.orientation)
     detours = _detours(search, ways, attempts, moved)
     said = "; ".join(_said(detour, index) for index, detour in detours.items())
@@ -166,7 +119,7 @@ def plan(
     for attempt in _in_order(attempts, unlikely, comfortable):
         try:
             timed = _time(arm, model, attempt, skill.duration, rate)
-            refusals[attempt.index] = _timed_refusal(model, timed, attempt.index, margin)
+            refusals[attempt.index] = _timed_refusal(model, timed, attempt.index, search.margin)
         except ValueError as error:
             refusals[attempt.index] = f"{title(attempt.index)}: {error}"
         if not refusals[attempt.index]:
@@ -175,18 +128,6 @@ def plan(
     least_bad = max((a for a in attempts if a.index >= 0), key=lambda a: a.rank)
     timed = _untimely(arm, model, least_bad, skill.duration, rate)
     return _plan(arm, timed, refusals, least_bad.index, samples, int(way[least_bad.index]), said, False)
-
-
-def _box(volume) -> Region:
-    """A Region from its mapping. Raises ValueError where that is not one."""
-    unknown = set(volume) - {"name", "lower", "upper", "links"}
-    if unknown or not {"name", "lower", "upper"} <= set(volume):
-        raise ValueError(f"a box to keep out of has a name, lower, upper and perhaps links, not {', '.join(volume)}")
-    lower, upper = (np.array(volume[key], dtype=float) for key in ("lower", "upper"))
-    if lower.shape != (3,) or upper.shape != (3,) or not (lower < upper).all():
-        raise ValueError(f"the box {volume['name']} must have lower below upper, three numbers each [m]")
-    corners = np.where(np.array(list(product((False, True), repeat=3))), upper, lower)
-    return Region(volume["name"], ((corners, ConvexHull(corners).simplices),))
 
 
 def _check_start(arm, model, start, margin):
