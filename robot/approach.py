@@ -41,6 +41,10 @@ def approach(model, start, end, margin: float, seed: int) -> np.ndarray:
     """
     start, end = np.asarray(start, dtype=float), np.asarray(end, dtype=float)
     rng = np.random.default_rng(seed)
+    for q, which in ((start, "start"), (end, "end")):
+        clearance, pair = model.nearest(q)
+        if clearance < margin:
+            raise NoSolution(f"at the {which} of the approach {pair[0]} is {1e3 * clearance:.1f} mm from {pair[1]} (margin {1e3 * margin:.0f} mm)")
     corners = [start, end] if _clear(model, start, end, margin) else _connected(model, start, end, margin, rng)
     return _dense(_cut(model, corners, margin, rng))
 

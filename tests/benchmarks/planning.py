@@ -3,6 +3,8 @@
     python tests/benchmarks/planning.py                              # the table, its world under 20 seeds
     python tests/benchmarks/planning.py table --seeds 5 --samples 50 robot.planner.margin=0.02    # Hydra's overrides
 
+    python tests/benchmarks/planning.py --ball 0.03 robot.planner.moved=0    # a ball set on the middle of the mean; moving off
+
 No photographs: the user draws on the true cameras, learning is the default. "meant": whether the intended path itself can
 be performed, by the planner's own means (all profiles, margin and sweep). Seconds are of CPU, of planning alone.
 """
@@ -18,6 +20,7 @@ from hydra.utils import instantiate
 
 from robot.arm import Arm
 from robot.attempt import Search
+from robot.bullet import pybullet
 from robot.collision import CollisionModel
 from robot.world import World
 from robot.worldfile import pre_grasp
@@ -51,21 +54,29 @@ def meant(spec: dict, arm, world, margin: float) -> str:
     return search.all(points[None])[0].refusal
 
 
+def put_ball(world, at, radius: float) -> None:
+    shape = world.client.createCollisionShape(pybullet.GEOM_SPHERE, radius=radius)
+    world.bodies["ball"] = world.client.createMultiBody(0, shape, -1, at)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("world", nargs="?", default="table")
     parser.add_argument("overrides", nargs="*", help="settings of robot.planner")
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--samples", type=int, default=20)
+    parser.add_argument("--ball", type=float, default=0.0, help="radius [m] of a ball that is set on the middle of the mean")
     parser.add_argument("--skills", type=Path, help="folder that keeps what was learned")
     options = parser.parse_args()
     with initialize_config_module("conf", version_base="1.3"):
         cfg = compose("config", overrides=[f"world={options.world}", *options.overrides])
-    planner, arm, counts, refusals = instantiate(cfg.robot.planner), Arm.load("panda"), Counter(), Counter()
+    planner, arm, counts, refusals = instantiate(cfg.robot.planner, _convert_="all"), Arm.load("panda"), Counter(), Counter()
     print("seed  meant  feasible  end mm  seconds  what came of it")
     for seed in range(options.seeds):
         with World.load(options.world, seed=seed, textured=False) as world:
             skill = taught(world.spec, 0, options.skills)
+            if options.ball:
+                put_ball(world, skill.starting_at(arm.fk(arm.home)[:3, 3])[0].distribution.mean_at([0.5])[0], options.ball)
             wrong = meant(world.spec, arm, world, cfg.robot.planner.margin)
             started = time.process_time()
             plan = planner(skill, arm, world, start=arm.home, seed=0, samples=options.samples)
