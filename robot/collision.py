@@ -26,7 +26,7 @@ from numba import njit
 
 from robot import separation
 from robot.kinematics import PRISMATIC
-from robot.separation import AGREED, Solid, gap
+from robot.separation import TRUSTED, Solid, gap
 from robot.shapes import BOX, CAPSULE, CYLINDER, body_pieces, link_pieces, region_pieces
 
 WORLD, ITSELF = 0, 1
@@ -130,8 +130,12 @@ class CollisionModel:
     def distances(self, q, pairs) -> np.ndarray:
         """Clearance (K,) [m] of one pair each, at q (K, J)."""
         poses = self.arm.link_poses(q)
-        distance = [self._distance(*self._pairs[pair], T, {}) for T, pair in zip(poses, pairs)]
-        return np.array(distance) + self._allowed[pairs]
+        distance, placed = np.zeros(len(poses)), {}
+        for k, pair in enumerate(pairs):
+            if k and not np.array_equal(q[k], q[k - 1]):
+                placed = {}
+            distance[k] = self._distance(*self._pairs[pair], poses[k], placed)
+        return distance + self._allowed[pairs]
 
     def _lower(self, poses) -> np.ndarray:
         bounds = _lower_bounds(poses, self._balls, self._first, self._link_of_piece, self._pairs, *self._bounds)
@@ -160,7 +164,7 @@ class CollisionModel:
             return distance
         (ax, ay, az), (bx, by, bz) = found.nearest_points
         certain = gap(*placed[a], *placed[b], ax - bx, ay - by, az - bz)
-        return distance if certain > distance - AGREED else separation.distance(placed[a], placed[b])
+        return distance if certain > distance - TRUSTED else separation.distance(placed[a], placed[b])
 
     def _place(self, piece, poses) -> tuple:
         """The piece where it is, for separation.py; a piece of the arm is put there for FCL too."""
