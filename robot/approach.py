@@ -1,8 +1,8 @@
-"""The way to where a taught motion begins, from wherever the arm is: RRT-Connect (Kuffner & LaValle 2000) in joint space.
+"""The way to where a taught motion begins: RRT-Connect (Kuffner & LaValle 2000) in joint space.
 
 Two trees grow towards each other from both postures, an edge at a time, each edge certified clear by the sweep of
-collision.py; then corners are cut. It is written out here, since every edge is certified, not sampled, and the same seed must
-give the same way each time it is asked, while OMPL's random numbers are seeded once for a process.
+collision.py; then corners are cut. It is written out here, since every edge is certified, not sampled, and the same
+seed must give the same way each time it is asked, while OMPL's random numbers are seeded once for a process.
 """
 
 import numpy as np
@@ -44,7 +44,8 @@ def approach(model, start, end, margin: float, seed: int) -> np.ndarray:
     for q, which in ((start, "start"), (end, "end")):
         clearance, pair = model.nearest(q)
         if clearance < margin:
-            raise NoSolution(f"at the {which} of the approach {pair[0]} is {1e3 * clearance:.1f} mm from {pair[1]} (margin {1e3 * margin:.0f} mm)")
+            near = f"{pair[0]} is {1e3 * clearance:.1f} mm from {pair[1]} (margin {1e3 * margin:.0f} mm)"
+            raise NoSolution(f"at the {which} of the approach {near}")
     corners = [start, end] if _clear(model, start, end, margin) else _connected(model, start, end, margin, rng)
     return _dense(_cut(model, corners, margin, rng))
 

@@ -57,7 +57,7 @@ class Arm:
 
     @classmethod
     def load(cls, name_or_path) -> "Arm":
-        """By name (conf/robot/arm/<name>.yaml), or from the path of a YAML file or of a URDF (it has a folder or an ending).
+        """By name (conf/robot/arm/<name>.yaml), or from a path of a YAML file or of a URDF (with a folder or an ending).
 
         A YAML file holds the arguments of ``from_urdf``; only ``urdf`` must be there, relative to the file's folder.
         """
@@ -70,12 +70,13 @@ class Arm:
         specs = {f.name.removesuffix(".yaml"): _read(f) for f in folder.iterdir() if f.name.endswith(".yaml")}
         known = sorted(name for name, spec in specs.items() if "urdf" in spec)
         if text not in known:
-            raise ValueError(f"no arm named {text!r}; there are {', '.join(known)}, or give the path of a URDF or of a YAML file")
+            others = "or give the path of a URDF or of a YAML file"
+            raise ValueError(f"no arm named {text!r}; there are {', '.join(known)}, {others}")
         return cls.from_spec(specs[text])
 
     @classmethod
     def from_spec(cls, spec: dict, folder: Path = Path()) -> "Arm":
-        """From what a YAML file of an arm holds: the arguments of ``from_urdf``. folder: that the URDF's path starts from."""
+        """From what a YAML file of an arm holds: the arguments of ``from_urdf``. folder: where its path starts."""
         settings = {key: value for key, value in spec.items() if key != "_target_"}
         known = inspect.signature(cls.from_urdf).parameters
         unknown = [key for key in settings if key not in known]
@@ -100,7 +101,7 @@ class Arm:
     ) -> "Arm":
         """Read an arm from a URDF file.
 
-        urdf: path, or "pybullet_data:" or "robot:" and a path in that package. tip_link: the default is the end of the longest
+        urdf: path, or "pybullet_data:" or "robot:" and a path there. tip_link: the default is the end of the longest
         chain. home (J,) [rad], lower, upper, velocity, acceleration (J,): replace what the URDF says (home: the middle
         of the range nearest zero). gripper: {joints: names, open: values, closed: values} [m or rad]; other joints off
         the chain are held at the value nearest zero. Raises FileNotFoundError, or ValueError that says what is wrong.
@@ -246,7 +247,8 @@ class Arm:
         """
         start = self.home if start is None else self._joints(start)
         rows = POSITION if position_only else POSE
-        return inverse.solve(self, base_from_tip, start, rows, restarts, comfort, seed, position_tolerance, rotation_tolerance)
+        tolerances = position_tolerance, rotation_tolerance
+        return inverse.solve(self, base_from_tip, start, rows, restarts, comfort, seed, *tolerances)
 
     def follow(
         self,
@@ -268,10 +270,11 @@ class Arm:
         poses, rows = inverse.path_poses(targets)
         start = self._joints(self.home if start is None else start)
         rest = self.home if rest is None else rest
-        return inverse.follow(self, poses, rows, start, rest, gain, position_tolerance, rotation_tolerance, largest_step)
+        tolerances = position_tolerance, rotation_tolerance
+        return inverse.follow(self, poses, rows, start, rest, gain, *tolerances, largest_step)
 
     def along(self, points, tool=Tool(), start=None, seed=0) -> np.ndarray:
-        """Postures (T, J) along points (T, 3) [m], continuous and within the limits, on the best branch over the whole path.
+        """Postures (T, J) along points (T, 3) [m], continuous, within the limits, on the best branch over the whole path.
 
         tool: how the hand is turned. start (J,): the posture to come from; None: any. Raises NoSolution with the first
         waypoint that cannot be had on the branch that comes farthest.
@@ -325,10 +328,11 @@ def _gripper(given, description, arm_joints, file) -> Gripper:
     given = given or {"joints": (), "open": (), "closed": ()}
     if set(given) != {"joints", "open", "closed"}:
         raise ValueError(f"{file}: a gripper has joints, open and closed, not {', '.join(given)}")
-    known = [joint.name for joint in description.joints.values() if joint.kind in MOVING and joint.name not in arm_joints]
+    moving = [joint.name for joint in description.joints.values() if joint.kind in MOVING]
+    known = [name for name in moving if name not in arm_joints]
     for name in given["joints"]:
         if name not in known:
-            raise ValueError(f"{file}: the gripper's joint {name} is none of {', '.join(known) or 'its joints off the arm'}")
+            raise ValueError(f"{file}: the gripper's joint {name} is none of {', '.join(known) or 'no joint'}")
     values = (_vector(given[key], None, len(given["joints"]), f"the gripper's {key}") for key in ("open", "closed"))
     return Gripper(tuple(given["joints"]), *values)
 

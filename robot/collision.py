@@ -4,9 +4,10 @@ Notation
     clearance   signed distance [m] between two convex pieces; negative: how deep they overlap; values above ``cap`` are
                 given as ``cap``
     pair        (a, b): a piece of the arm and a piece of the world, or two pieces of the arm
-    lower       a bound from below on a pair's clearance, from balls that cover the arm (compiled, all postures at once)
+    lower       a bound from below on a pair's clearance, from balls that cover the arm
 
-Exact distances come from FCL, checked (separation.py), and asked only for pairs whose lower bound is below the smallest distance found so far.
+Exact distances come from FCL, checked (separation.py), and asked only for pairs whose lower bound (bounds.py) is below
+the smallest distance found so far.
 Along a joint-space segment from q0 to q1 no point of a link strays farther than
 
     deviation = (sum |dq|)^2 R / 8        (R: a bound on the arm's length; the second derivative is at most 8 of this)
@@ -22,12 +23,12 @@ from dataclasses import dataclass, replace
 
 import fcl
 import numpy as np
-from numba import njit
 
 from robot import separation
+from robot.bounds import lower_bounds
 from robot.kinematics import PRISMATIC
 from robot.separation import TRUSTED, Solid, gap
-from robot.shapes import BOX, CAPSULE, CYLINDER, body_pieces, link_pieces, region_pieces
+from robot.shapes import body_pieces, link_pieces, region_pieces
 
 WORLD, ITSELF = 0, 1
 NEAR_AT_HOME = 0.01  # m: what is nearer in a comfortable posture is a matter of coarse geometry
@@ -138,7 +139,7 @@ class CollisionModel:
         return distance + self._allowed[pairs]
 
     def _lower(self, poses) -> np.ndarray:
-        bounds = _lower_bounds(poses, self._balls, self._first, self._link_of_piece, self._pairs, *self._bounds)
+        bounds = lower_bounds(poses, self._balls, self._first, self._link_of_piece, self._pairs, *self._bounds)
         return bounds + self._allowed
 
     def _exact(self, poses, lower, start, cap, placed):
@@ -281,7 +282,8 @@ class CollisionModel:
         for n, poses in enumerate(self.arm.link_poses(postures)):
             placed = {}
             clearance[n] = [self._distance(a, b, poses, placed) for a, b in candidates]
-        near = np.array([NEAR_AT_HOME if not {self.names[a], self.names[b]} & set(self._held) else -np.inf for a, b in candidates])
+        held = np.array([bool({self.names[a], self.names[b]} & set(self._held)) for a, b in candidates])
+        near = np.where(held, -np.inf, NEAR_AT_HOME)
         kept = (clearance[usual] > near) & ((clearance <= 0).mean(axis=0) < ALWAYS_TOUCHING)
         own = np.array([pair for pair, keep in zip(candidates, kept) if keep], dtype=np.int64).reshape(-1, 2)
         self._own = len(own)
@@ -294,10 +296,12 @@ def _checked(only, held, arm, bodies, regions):
     for region, bound in only.items():
         unknown = [region] * (region not in named) or [link for link in bound if link not in links]
         if unknown:
-            raise ValueError(f"a region that binds links names {unknown[0]!r}; there are {', '.join([*sorted(named), *links])}")
+            there = ", ".join([*sorted(named), *links])
+            raise ValueError(f"a region that binds links names {unknown[0]!r}; there are {there}")
     for name, posture in held.items():
         if name not in {piece.name for piece in bodies}:
-            raise ValueError(f"{name!r} cannot be held; there are {', '.join(sorted({piece.name for piece in bodies})) or 'no bodies'}")
+            there = ", ".join(sorted({piece.name for piece in bodies})) or "no bodies"
+            raise ValueError(f"{name!r} cannot be held; there are {there}")
     return only, {name: np.array(posture, dtype=float) for name, posture in held.items()}
 
 
@@ -339,57 +343,3 @@ def _reach(arm, corners) -> float:
 
 def _fcl_pose(pose) -> fcl.Transform:
     return fcl.Transform(pose[:3, :3], pose[:3, 3])
-
-
-@njit(cache=True)
-def _outside(kind, size, x, y, z):
-    """Signed distance [m] of a point to a primitive at the origin: exact outside, no larger than the truth inside."""
-    if kind == BOX:
-        a, b, c = abs(x) - size[0], abs(y) - size[1], abs(z) - size[2]
-    elif kind == CYLINDER:
-        a, b, c = np.sqrt(x * x + y * y) - size[0], -np.inf, abs(z) - size[1]
-    elif kind == CAPSULE:
-        along = max(abs(z) - size[1], 0.0)
-        return np.sqrt(x * x + y * y + along * along) - size[0]
-    else:
-        return np.sqrt(x * x + y * y + z * z) - size[0]
-    out = np.sqrt(max(a, 0.0) ** 2 + max(b, 0.0) ** 2 + max(c, 0.0) ** 2)
-    return out + min(max(a, b, c), 0.0)
-
-
-@njit(cache=True)
-def _place(poses, balls, first, links, out):
-    for piece in range(len(links)):
-        T = poses[links[piece]]
-        for b in range(first[piece], first[piece + 1]):
-            for i in range(3):
-                out[b, i] = T[i, 0] * balls[b, 0] + T[i, 1] * balls[b, 1] + T[i, 2] * balls[b, 2] + T[i, 3]
-
-
-@njit(cache=True)
-def _lower_bounds(poses, balls, first, links, pairs, kinds, sizes, piece_from_world):
-    """Link poses (N, L, 4, 4) -> bounds from below (N, pairs) [m] by the balls (B, 4) that cover the arm."""
-    out = np.full((len(poses), len(pairs)), np.inf)
-    centres = np.empty((len(balls), 3))
-    count = len(links)
-    for n in range(len(poses)):
-        _place(poses[n], balls, first, links, centres)
-        for p in range(len(pairs)):
-            a, b = pairs[p]
-            for i in range(first[a], first[a + 1]):
-                x, y, z = centres[i]
-                if b >= count:
-                    M = piece_from_world[b - count]
-                    d = _outside(
-                        kinds[b - count],
-                        sizes[b - count],
-                        M[0, 0] * x + M[0, 1] * y + M[0, 2] * z + M[0, 3],
-                        M[1, 0] * x + M[1, 1] * y + M[1, 2] * z + M[1, 3],
-                        M[2, 0] * x + M[2, 1] * y + M[2, 2] * z + M[2, 3],
-                    )
-                    out[n, p] = min(out[n, p], d - balls[i, 3])
-                else:
-                    for j in range(first[b], first[b + 1]):
-                        r = np.sqrt((x - centres[j, 0]) ** 2 + (y - centres[j, 1]) ** 2 + (z - centres[j, 2]) ** 2)
-                        out[n, p] = min(out[n, p], r - balls[i, 3] - balls[j, 3])
-    return out

@@ -8,9 +8,10 @@ Notation
 
     minimise |z|^2 + sum cost s^2   subject to   c(q(t)) + g(t) . (x(t) - x_now(t)) + s >= wanted,  s >= 0
 
-for all waypoints t and pairs, once for the margin (MUST) and once for what is comfortable (MAY); linearised again after each step (sequential quadratic programming), a least distance
-problem each time (Lawson & Hanson 1974, ch. 23). A waypoint out of reach pushes like a wall. The start is where S says
-(conditioned: it has no freedom), the end is kept by conditioning on it before.
+for all waypoints t and pairs, once for the margin (MUST) and once for what is comfortable (MAY); linearised again after
+each step (sequential quadratic programming), a least distance problem each time (Lawson & Hanson 1974, ch. 23). Where
+that gets stuck, it begins again from four motions that go by on either side, above and below. A waypoint out of reach
+pushes like a wall. The start is where S says (conditioned: it has no freedom), the end is kept by conditioning on it.
 """
 
 from dataclasses import dataclass, replace
@@ -54,7 +55,8 @@ def moved_mean(search: Search, distribution, first: Attempt, index: int, farthes
     found = _descend(search, mean, R, np.zeros(R.shape[1]), first.profile, index, farthest)
     if not found.attempt.refusal:
         return found
-    others = [_descend(search, mean, R, z, first.profile, index, farthest) for z in _around(search, mean, R, first.profile)]
+    around = _around(search, mean, R, first.profile)
+    others = [_descend(search, mean, R, z, first.profile, index, farthest) for z in around]
     return min([found, *others], key=lambda moved: (bool(moved.attempt.refusal), moved.deviations))
 
 
@@ -122,7 +124,8 @@ def _near(search, points, profile) -> _Near:
     if wall is None:
         return _Near(rows, clearance, gradient, world)
     depth = np.linalg.norm(wall)
-    return _Near(np.append(rows, len(path)), np.append(clearance, -depth), np.vstack([gradient, wall / depth]), np.append(world, False))
+    rows, clearance, world = np.append(rows, len(path)), np.append(clearance, -depth), np.append(world, False)
+    return _Near(rows, clearance, np.vstack([gradient, wall / depth]), world)
 
 
 def _followed(search, points, profile):
@@ -131,7 +134,9 @@ def _followed(search, points, profile):
     try:
         return path_to(search.arm, points, search.start, profile), None
     except NoSolution as error:
-        wall = search.arm.fk(error.posture)[:3, 3] - points[error.waypoint] if error.posture is not None else np.zeros(3)
+        if error.posture is None:
+            return np.reshape(error.path, (-1, len(search.start))), None
+        wall = search.arm.fk(error.posture)[:3, 3] - points[error.waypoint]
         return np.reshape(error.path, (-1, len(search.start))), wall if np.linalg.norm(wall) > PROBE else None
 
 

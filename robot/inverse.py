@@ -1,10 +1,10 @@
 """Inverse kinematics: postures whose tip is where it is asked to be, within the limits, checked by forward kinematics.
 
-    solve     one target: damped least squares from several starts (kinematics.py), then towards comfort in the null space
+    solve     one target: damped least squares from several starts (kinematics.py), then to comfort in the null space
     follow    a path, from a given posture on; each posture is the one nearest to a posture at rest
-    choose    a path, over all ways to hold the arm along it: many branches are followed at once, a stretch of the path at
-              a time and drawn to several sides, and those of least cost that differ are kept (dynamic programming, with a
-              beam in place of all states); the smoothest and most comfortable whole path is taken
+    choose    a path, over all ways to hold the arm along it: many branches are followed at once, a stretch of the path
+              at a time and drawn to several sides, and those of least cost that differ are kept (dynamic programming,
+              with a beam in place of all states); the smoothest and most comfortable whole path is taken
 
 How the hand is turned is asked for by a Tool: free, kept, pointed along an axis, or along the path's tangent.
 """
@@ -65,7 +65,8 @@ class Tool:
             return poses, POSE
         if self.kind == "free":
             return poses, POSITION
-        ahead = np.gradient(poses[:, :3, 3], axis=0) if self.kind == "tangent" else np.broadcast_to(self.axis, (len(poses), 3))
+        tangent = self.kind == "tangent"
+        ahead = np.gradient(poses[:, :3, 3], axis=0) if tangent else np.broadcast_to(self.axis, (len(poses), 3))
         for pose, z in zip(poses, directions(ahead)):
             pose[:3, :3] = _with_z(z)
         return poses, POINTED
@@ -132,7 +133,8 @@ def follow(arm, poses, rows, start, rest, gain, position_tolerance, rotation_tol
 def _track(arm, poses, rows, slack, start, rest, gain):
     """The postures (T, J), and the position [m] and rotation errors [rad] (T,) that are left."""
     rests = np.array(np.broadcast_to(rest, (len(poses), len(start))), order="C")
-    return kinematics.track(arm.chain, arm.lower, arm.upper, poses, rests, start.copy(), float(gain), rows, float(slack), 1e-5)
+    limits = arm.lower, arm.upper
+    return kinematics.track(arm.chain, *limits, poses, rests, start.copy(), float(gain), rows, float(slack), 1e-5)
 
 
 def choose(arm, poses, rows, start=None, slack=0.0, seed=0) -> np.ndarray:

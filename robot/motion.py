@@ -16,10 +16,11 @@ class Plan:
     """A motion and what was checked about it; at rest at both ends, the first row is the present state.
 
     times (T,) [s]. joints (T, J) [rad]. names: of the joints. position_error (T,) [m]: tip against the candidate
-    followed. clearance (T,) [m]: to the world and the skill's keep-out regions, at most 0.3. self_clearance (T,) [m]: of the arm to itself. tip (T, 3)
+    followed. clearance (T,) [m]: to the world and the skill's keep-out regions, at most 0.3. self_clearance (T,) [m]: of
+    the arm to itself. tip (T, 3)
     [m]. refusals: a sentence for each refused candidate. samples: candidates tried. chosen: which is followed, 0 is the
-    mean. way: of the skill's ways the one that is followed, the most usual is 0. feasible: whether the motion passed every check; where False, ``joints`` are the least bad candidate, not to
-    be performed.
+    mean. way: of the skill's ways the one that is followed, the most usual is 0. feasible: whether the
+    motion passed every check; where False, ``joints`` are the least bad candidate, not to be performed.
     """
 
     times: np.ndarray
@@ -41,7 +42,8 @@ class Plan:
     def sentence(self) -> str:
         """What came of it, in one line."""
         if not self.feasible:
-            return f"none of {self.samples} candidates is feasible; {self.refusals[self.chosen]}" + f"; {self.moved}" * bool(self.moved)
+            moved = f"; {self.moved}" * bool(self.moved)
+            return f"none of {self.samples} candidates is feasible; {self.refusals[self.chosen]}{moved}"
         which = (title(self.chosen) if self.chosen >= 0 else self.moved) + f" (way {self.way + 1})" * (self.way > 0)
         feasible, clear, error = (
             self.samples - len(self.refusals),

@@ -6,8 +6,8 @@ Notation
     gap(n)      -h_A(-n) - h_B(n): the planes across n that hold the pieces leave this much room between them
 
 gap(n) <= distance for every n, with equality for the right one. FCL's own iteration stops early about once in some
-thousand queries (15 mm too far between a ball and a mesh, 1 mm between cylinders) and never says so; then gap(n) of its nearest points stays behind its distance. Wolfe's
-algorithm (1976), on the differences a - b, goes on until both agree.
+thousand queries (15 mm too far between a ball and a mesh, 1 mm between cylinders) and never says so; then gap(n) of its
+nearest points stays behind its distance. Wolfe's algorithm (1976), on the differences a - b, goes on until both agree.
 """
 
 import fcl

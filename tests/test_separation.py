@@ -43,9 +43,8 @@ def test_distance_and_room_between_agree_with_fcl_where_that_is_right(first, sec
     for _ in range(30):
         A, B = pose(turn=rng.uniform(-3, 3, 3)), pose(rng.uniform(-0.6, 0.6, 3), rng.uniform(-3, 3, 3))
         a, b = Solid(PIECES[first]).arrays(A), Solid(PIECES[second]).arrays(B)
-        objects = [fcl.CollisionObject(PIECES[n].geometry, fcl.Transform(T[:3, :3], T[:3, 3])) for n, T in ((first, PIECES[first].frame_from_piece), (second, PIECES[second].frame_from_piece))]
-        for one, T in zip(objects, (A, B)):
-            one.setTransform(fcl.Transform(T[:3, :3], T[:3, 3]))
+        placed = ((first, A), (second, B))
+        objects = [fcl.CollisionObject(PIECES[n].geometry, fcl.Transform(T[:3, :3], T[:3, 3])) for n, T in placed]
         theirs = max(fcl.distance(*objects, fcl.DistanceRequest(enable_signed_distance=True), fcl.DistanceResult()), 0.0)
         ours = distance(a, b)
         assert ours <= theirs + 2e-4
