@@ -5,6 +5,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from robot.arm import Arm, NoSolution, Tool
+from robot.bullet import connect
+from robot.collision import CollisionModel
 from robot.inverse import branches, choose, path_poses
 from robot.kinematics import POINTED, POSE, POSITION
 
@@ -147,3 +149,33 @@ def test_forward_kinematics_of_the_z1_is_the_published_geometry():
     np.testing.assert_allclose(arm.fk(np.zeros(6))[:3, 3], [-0.35 + 0.218 + 0.07 + 0.0492 + 0.2, 0, 0.0585 + 0.045 + 0.057], atol=1e-9)
     np.testing.assert_allclose(arm.fk(arm.home)[:3, 2], Rotation.from_euler("y", -0.04).apply([1, 0, 0]), atol=1e-9)
     assert arm.gripper.joints == ("jointGripper",) and arm.gripper.closed == 0 and arm.gripper.open < 0
+
+
+def test_the_jacobian_of_each_arm_is_the_derivative_of_its_pose(arm):
+    q, h = arm.random(1, 7)[0], 1e-6
+    J = arm.jacobian(q)
+    for j, step in enumerate(h * np.eye(len(q))):
+        before, after = arm.fk(q - step), arm.fk(q + step)
+        turn = Rotation.from_matrix(after[:3, :3] @ before[:3, :3].T).as_rotvec()
+        np.testing.assert_allclose(J[:, j], np.append((after - before)[:3, 3], turn) / (2 * h), atol=1e-7)
+
+
+def test_pybullet_has_the_z1_where_its_kinematics_have_it():
+    arm, client = Arm.load("z1"), connect()
+    body = arm.spawn(client)
+    number = {client.getJointInfo(body, i)[12].decode(): i for i in range(client.getNumJoints(body))}
+    for joint, value in zip(arm.joint_indices, arm.home + 0.1):
+        client.resetJointState(body, joint, value)
+    for name, pose in zip(arm.link_names, arm.link_poses(arm.home + 0.1)[0]):
+        if name in number:
+            at = client.getLinkState(body, number[name], computeForwardKinematics=True)[4]
+            np.testing.assert_allclose(pose[:3, 3], at, atol=1e-5)
+    masses = sum(client.getDynamicsInfo(body, i)[0] for i in range(-1, client.getNumJoints(body)))
+    client.disconnect()
+    assert masses == pytest.approx(4.749, abs=2e-3)  # the published ones, without the fixed base
+
+
+def test_the_z1_is_clear_of_itself_at_home_and_folds_into_itself():
+    model = CollisionModel(Arm.load("z1"))
+    assert model.clearance(model.arm.home) > 0.01
+    assert (model.clearance(model.arm.random(200, 0)) < 0).mean() < 0.3
