@@ -75,6 +75,7 @@ class CollisionModel:
         self._cover()
         self._pairs = np.array(self._world_pairs(), dtype=np.int64).reshape(-1, 2)
         self._own = 0
+        self._measured = None, None  # the last question and its answer: paths are measured, then swept
         self._choose_own_pairs()
         self._allowed = self._resting(margin)  # (pairs,) [m], what is added to a pair's distance
 
@@ -105,8 +106,13 @@ class CollisionModel:
 
     def measure(self, q, cap=None) -> tuple[np.ndarray, np.ndarray]:
         """q (N, J) -> clearance (N, 2) [m] to the world and to itself; nearest pairs (N, 2), -1 where beyond cap."""
-        poses = self.arm.link_poses(q)
         cap = self.cap if cap is None else min(cap, self.cap)
+        asked = np.asarray(q, dtype=float).tobytes(), cap
+        if asked != self._measured[0]:
+            self._measured = asked, self._measure(self.arm.link_poses(q), cap)
+        return self._measured[1]
+
+    def _measure(self, poses, cap) -> tuple[np.ndarray, np.ndarray]:
         lower = self._lower(poses)
         distance, pair = np.full((len(poses), 2), cap), np.full((len(poses), 2), -1)
         split = len(self._pairs) - self._own
