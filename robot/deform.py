@@ -73,7 +73,7 @@ def _around(search, mean, R, profile) -> list[np.ndarray]:
 
 def _descend(search, mean, R, z, profile, index, farthest) -> Moved:
     """The feasible motion nearest to the mean that is found from z on; where there is none, the last."""
-    best, clearest, stalled = None, -np.inf, 0
+    best, clearest, stalled, buffer = None, -np.inf, 0, BUFFER
     moved = lambda z: (R @ z).reshape(-1, 3)
     for round in range(ROUNDS + 1):
         near = _near(search, mean + moved(z), profile)
@@ -84,9 +84,10 @@ def _descend(search, mean, R, z, profile, index, farthest) -> Moved:
         if last and best is None or far <= farthest and clear >= search.margin:
             attempt, _ = search.best(index, mean + moved(z), [profile], np.inf)
             best = Moved(attempt, far, float(np.linalg.norm(z))) if best is None or not attempt.refusal else best
-        step = _nearer(near, R, z, search) - z
+            buffer += BUFFER * bool(attempt.refusal)  # it came too close between the waypoints that are watched
+        step = _nearer(near, R, z, search, buffer) - z
         longest = np.linalg.norm(moved(step), axis=1).max()
-        if last or longest < SETTLED and best is not None:
+        if last or longest < SETTLED and best is not None and not best.attempt.refusal:
             break
         z = z + step * min(1.0, LONGEST / max(longest, 1e-9))
     too_far = f"{title(index)}: it would have to move by {1e3 * best.distance:.0f} mm (at most {1e3 * farthest:.0f})"
@@ -102,11 +103,11 @@ class _Near:
     gradient: np.ndarray
     world: np.ndarray
 
-def _nearer(near, R, z, search) -> np.ndarray:
+def _nearer(near, R, z, search, buffer) -> np.ndarray:
     """The z that solves the problem as it is linear around the present one."""
     A = np.einsum("ka,kan->kn", near.gradient, R.reshape(-1, 3, len(z))[near.rows])
     missing = A @ z - near.clearance
-    b = np.concatenate([missing + search.margin + BUFFER, (missing + search.comfortable)[near.world]])
+    b = np.concatenate([missing + search.margin + buffer, (missing + search.comfortable)[near.world]])
     cost = np.repeat([MUST, MAY], [len(missing), near.world.sum()])
     return least(np.vstack([A, A[near.world]]), b, cost)
 

@@ -64,6 +64,7 @@ def main() -> None:
     parser.add_argument("world", nargs="?", default="table")
     parser.add_argument("overrides", nargs="*", help="settings of robot.planner")
     parser.add_argument("--seeds", type=int, default=20)
+    parser.add_argument("--first", type=int, default=0, help="seed of the first world")
     parser.add_argument("--samples", type=int, default=20)
     parser.add_argument("--ball", type=float, default=0.0, help="radius [m] of a ball that is set on the middle of the mean")
     parser.add_argument("--skills", type=Path, help="folder that keeps what was learned")
@@ -72,7 +73,7 @@ def main() -> None:
         cfg = compose("config", overrides=[f"world={options.world}", *options.overrides])
     planner, arm, counts, refusals = instantiate(cfg.robot.planner, _convert_="all"), Arm.load("panda"), Counter(), Counter()
     print("seed  meant  feasible  end mm  seconds  what came of it")
-    for seed in range(options.seeds):
+    for seed in range(options.first, options.first + options.seeds):
         with World.load(options.world, seed=seed, textured=False) as world:
             skill = taught(world.spec, 0, options.skills)
             if options.ball:
