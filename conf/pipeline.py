@@ -212,6 +212,7 @@ def plan(job: Job, out: Path) -> dict:
     """Samples are checked for reach and collision; the best feasible one is timed."""
     import numpy as np
 
+    from robot.export import save_mcap
     from robot.world import World
     from teach.trajectory import Skill
 
@@ -221,6 +222,7 @@ def plan(job: Job, out: Path) -> dict:
         chosen = _setting(job, "robot.planner")(skill, arm, world, start=arm.home, seed=job.cfg.seed)
     chosen.save(out / "plan.npz")
     write_json(out / "joint_trajectory.json", chosen.joint_trajectory())
+    save_mcap(chosen, out / "plan.mcap")
     table = np.column_stack([chosen.times, chosen.joints, chosen.tip])
     np.savetxt(out / "trajectory.csv", table, "%.6f", ",", header=",".join(["time_s", *chosen.names, "x_m", "y_m", "z_m"]), comments="")
     log.info("  %s", chosen.sentence)
@@ -292,7 +294,7 @@ STAGES = (
           shared=True, resumable=True),
     Stage("sketch", sketch, ("sketches.json", "held_out.json", "intended.npz"), ("render",), ("user", "world", "seed")),
     Stage("fit", fit, ("skill.npz", "densities.npz"), ("sketch",), ("teach", "seed")),
-    Stage("plan", plan, ("plan.npz", "trajectory.csv", "joint_trajectory.json"), ("fit",),
+    Stage("plan", plan, ("plan.npz", "trajectory.csv", "joint_trajectory.json", "plan.mcap"), ("fit",),
           ("robot.arm", "robot.planner", "robot.obstacles", "world", "seed"), inputs=lambda job: _pieces(job)),
     Stage("execute", execute, ("execution.npz", "execution.mp4", "filmstrip.png"), ("plan",), ("robot.arm", "robot.execution", "world")),
 )  # fmt: skip

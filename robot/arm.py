@@ -9,6 +9,7 @@ The tree is read from the URDF once and evaluated by compiled functions (kinemat
 """
 
 import importlib.resources
+import inspect
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -16,23 +17,22 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from robot import kinematics
-from robot.kinematics import FIXED, PRISMATIC, REVOLUTE, Tree
+from robot import inverse, kinematics
+from robot.inverse import NoSolution, Tool
+from robot.kinematics import FIXED, POSE, POSITION, PRISMATIC, REVOLUTE, Tree
 from robot.urdf import MOVING, Urdf
 
+PACKAGES = ("pybullet_data", "robot")  # that a URDF's path may start in
 DEFAULT_VELOCITY, DEFAULT_ACCELERATION = 1.0, 2.5  # rad/s, rad/s^2 where neither the URDF nor the YAML says anything
 
 
-class NoSolution(ValueError):
-    """No posture reaches what was asked.
+@dataclass(frozen=True, eq=False)
+class Gripper:
+    """joints: their names. open, closed (G,): their values [m or rad]."""
 
-    Along a path: ``waypoint``, the index of the first that cannot be had, and ``path`` (waypoint, J), the postures
-    before it.
-    """
-
-    def __init__(self, message, waypoint=None, path=None):
-        super().__init__(message)
-        self.waypoint, self.path = waypoint, path
+    joints: tuple[str, ...]
+    open: np.ndarray
+    closed: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +40,7 @@ class Arm:
     """An arm standing at the origin of the base frame. Make one with ``load`` or ``from_urdf``.
 
     lower, upper [rad or m]; velocity [per s]; acceleration [per s^2]; home (J,): comfortable posture, where it starts.
-    fingers: {joint name: value when open [m]}; these joints are held there.
+    gripper: its joints are held open where kinematics and collision are concerned.
     """
 
     name: str
@@ -53,24 +53,38 @@ class Arm:
     acceleration: np.ndarray
     home: np.ndarray
     tip_link: str
-    fingers: dict[str, float]
+    gripper: Gripper
 
     @classmethod
-    def load(cls, name_or_urdf) -> "Arm":
-        """By name (conf/robot/arm/<name>.yaml) or from a URDF's path (a path has a folder or ends in .urdf)."""
-        text = str(name_or_urdf)
+    def load(cls, name_or_path) -> "Arm":
+        """By name (conf/robot/arm/<name>.yaml), or from a path of a YAML file or of a URDF (with a folder or an ending).
+
+        A YAML file holds the arguments of ``from_urdf``; only ``urdf`` must be there, relative to the file's folder.
+        """
+        text = str(name_or_path)
+        if text.endswith((".yaml", ".yml")):
+            return cls.from_spec(_read(Path(text)), Path(text).parent)
         if text.endswith(".urdf") or "/" in text:
             return cls.from_urdf(text)
         folder = importlib.resources.files("conf") / "robot" / "arm"
-        known = sorted(f.name.removesuffix(".yaml") for f in folder.iterdir() if f.name.endswith(".yaml"))
+        specs = {f.name.removesuffix(".yaml"): _read(f) for f in folder.iterdir() if f.name.endswith(".yaml")}
+        known = sorted(name for name, spec in specs.items() if "urdf" in spec)
         if text not in known:
-            raise ValueError(f"no arm named {text!r}; there are {', '.join(known)}, or give the path of a URDF")
-        return cls.from_spec(yaml.safe_load((folder / f"{text}.yaml").read_text()))
+            others = "or give the path of a URDF or of a YAML file"
+            raise ValueError(f"no arm named {text!r}; there are {', '.join(known)}, {others}")
+        return cls.from_spec(specs[text])
 
     @classmethod
-    def from_spec(cls, spec: dict) -> "Arm":
-        """From what a YAML file of conf/robot/arm holds: the arguments of ``from_urdf``."""
-        return cls.from_urdf(**{key: value for key, value in spec.items() if key != "_target_"})
+    def from_spec(cls, spec: dict, folder: Path = Path()) -> "Arm":
+        """From what a YAML file of an arm holds: the arguments of ``from_urdf``. folder: where its path starts."""
+        settings = {key: value for key, value in spec.items() if key != "_target_"}
+        known = inspect.signature(cls.from_urdf).parameters
+        unknown = [key for key in settings if key not in known]
+        if unknown or "urdf" not in settings:
+            wrong = f"unknown {', '.join(unknown)}" if unknown else "no urdf"
+            raise ValueError(f"an arm's file has {wrong}; its keys are {', '.join(known)}")
+        urdf = str(settings["urdf"])
+        return cls.from_urdf(**settings | {"urdf": urdf if urdf.partition(":")[0] in PACKAGES else folder / urdf})
 
     @classmethod
     def from_urdf(
@@ -83,14 +97,14 @@ class Arm:
         upper=None,
         velocity=None,
         acceleration=None,
-        fingers=None,
+        gripper=None,
     ) -> "Arm":
         """Read an arm from a URDF file.
 
-        urdf: path, or "pybullet_data:" and a path in that package. tip_link: the default is the end of the longest
+        urdf: path, or "pybullet_data:" or "robot:" and a path there. tip_link: the default is the end of the longest
         chain. home (J,) [rad], lower, upper, velocity, acceleration (J,): replace what the URDF says (home: the middle
-        of the range nearest zero). fingers: {joint: open value [m]}; other joints off the chain are held at the value
-        nearest zero.
+        of the range nearest zero). gripper: {joints: names, open: values, closed: values} [m or rad]; other joints off
+        the chain are held at the value nearest zero. Raises FileNotFoundError, or ValueError that says what is wrong.
         """
         path = _resolve(urdf)
         description = Urdf.load(path)
@@ -121,7 +135,7 @@ class Arm:
             _vector(acceleration, [DEFAULT_ACCELERATION] * count, count, "acceleration"),
             start,
             tip,
-            dict(fingers or {}),
+            _gripper(gripper, description, names, path.name),
         )
 
     @cached_property
@@ -133,6 +147,11 @@ class Arm:
     def chain(self) -> tuple:
         """The links from the root to the tip, as the compiled functions take them."""
         return self._tree(self.description.chain(self.tip_link)).arrays
+
+    @property
+    def fingers(self) -> dict[str, float]:
+        """{joint of the gripper: value when open}."""
+        return dict(zip(self.gripper.joints, self.gripper.open.tolist()))
 
     @property
     def link_names(self) -> tuple[str, ...]:
@@ -226,35 +245,10 @@ class Arm:
         (``seed``). position_only: any orientation will do. comfort: share of the way towards home taken in the null
         space per step, 0 for none. Raises NoSolution, saying how far the best attempt came and which limits held it.
         """
-        target = _pose(base_from_tip)
-        starts = np.vstack(
-            [self.home if start is None else self._joints(start), self.home, self.random(restarts, seed)]
-        )
-        rows = 3 if position_only else 6
-        q, position, rotation = kinematics.solve(
-            self.chain,
-            self.lower,
-            self.upper,
-            target,
-            starts,
-            rows,
-            80,
-            position_tolerance / 10,
-            rotation_tolerance / 10,
-        )
-        if position > position_tolerance or rotation > rotation_tolerance:
-            raise NoSolution(self._why("the pose" if rows == 6 else "the position", q, position, rotation))
-        if comfort > 0:
-            q = self._comfortable(target, q, comfort, rows, position_tolerance, rotation_tolerance)
-        return q
-
-    def _comfortable(self, target, q, comfort, rows, position_tolerance, rotation_tolerance):
-        """q moved towards home within the null space, or q itself where that breaks the target."""
-        moved = q.copy()
-        position, rotation = kinematics.settle(
-            self.chain, self.lower, self.upper, target, moved, self.home.copy(), float(comfort), rows, 20, 1e-6
-        )
-        return moved if position < position_tolerance / 10 and rotation < rotation_tolerance / 10 else q
+        start = self.home if start is None else self._joints(start)
+        rows = POSITION if position_only else POSE
+        tolerances = position_tolerance, rotation_tolerance
+        return inverse.solve(self, base_from_tip, start, rows, restarts, comfort, seed, *tolerances)
 
     def follow(
         self,
@@ -273,37 +267,20 @@ class Arm:
         gain: share of that distance closed per iteration. largest_step: between neighbours [rad].
         Raises NoSolution with the index of the first waypoint that cannot be had.
         """
-        poses, rows = path_poses(targets)
+        poses, rows = inverse.path_poses(targets)
         start = self._joints(self.home if start is None else start)
-        rests = np.broadcast_to(self.home if rest is None else rest, (len(poses), len(start)))
-        path, position, rotation = kinematics.track(
-            self.chain,
-            self.lower,
-            self.upper,
-            poses,
-            np.array(rests, dtype=float, order="C"),
-            start.copy(),
-            float(gain),
-            rows,
-            1e-5,
-        )
-        missed = (position > position_tolerance) | (rotation > rotation_tolerance)
-        steps = np.abs(np.diff(np.vstack([start, path]), axis=0)).max(axis=1)
-        bad = np.flatnonzero(missed | (steps > largest_step))
-        if len(bad) == 0:
-            return path
-        k = int(bad[0])
-        if missed[k]:
-            raise NoSolution(
-                self._why(f"waypoint {k + 1} of {len(path)}", path[k], position[k], rotation[k]), k, path[:k]
-            )
-        joint = self.joint_names[int(np.abs(path[k] - (path[k - 1] if k else start)).argmax())]
-        raise NoSolution(
-            f"at waypoint {k + 1} of {len(path)} {joint} would jump by {steps[k]:.2f} rad "
-            f"(at most {largest_step:.2f} is continuous)",
-            k,
-            path[:k],
-        )
+        rest = self.home if rest is None else rest
+        tolerances = position_tolerance, rotation_tolerance
+        return inverse.follow(self, poses, rows, start, rest, gain, *tolerances, largest_step)
+
+    def along(self, points, tool=Tool(), start=None, seed=0) -> np.ndarray:
+        """Postures (T, J) along points (T, 3) [m], continuous, within the limits, on the best branch over the whole path.
+
+        tool: how the hand is turned. start (J,): the posture to come from; None: any. Raises NoSolution with the first
+        waypoint that cannot be had on the branch that comes farthest.
+        """
+        start = None if start is None else self._joints(start)
+        return inverse.choose(self, *tool.poses(points), start, tool.tolerance, seed)
 
     def random(self, count, seed) -> np.ndarray:
         """(count, J) postures, uniform within the limits (within a turn where there are none)."""
@@ -320,12 +297,6 @@ class Arm:
         ]
         return [f"{name} at its {side} limit" for name, side in words]
 
-    def _why(self, what, q, position, rotation) -> str:
-        turned = f" and {np.degrees(rotation):.1f} degrees" if rotation > 0 else ""
-        limits = self.limits_reached(q)
-        cause = f"with {' and '.join(limits)}" if limits else "with no joint at a limit: the arm is stretched or folded"
-        return f"{self.name} cannot reach {what}: the best posture stops {1e3 * position:.1f} mm{turned} short, {cause}"
-
     def _joints(self, q) -> np.ndarray:
         q = np.array(q, dtype=float, order="C")  # writable and contiguous: one compiled version serves all
         if q.shape[-1:] != (len(self.joint_names),) or q.ndim > 2 or not np.isfinite(q).all():
@@ -335,34 +306,35 @@ class Arm:
         return q
 
 
-def path_poses(targets) -> tuple[np.ndarray, int]:
-    """Points (T, 3) or poses (T, 4, 4) -> poses (T, 4, 4) and the rows of the error that count, 3 or 6."""
-    targets = np.asarray(targets, dtype=float)
-    if not np.isfinite(targets).all():
-        raise ValueError("a path must consist of finite numbers")
-    if targets.ndim == 3 and targets.shape[1:] == (4, 4):
-        return np.ascontiguousarray(targets), 6
-    if targets.ndim != 2 or targets.shape[1] != 3:
-        raise ValueError(f"a path is points (T, 3) or poses (T, 4, 4), not {targets.shape}")
-    poses = np.tile(np.eye(4), (len(targets), 1, 1))
-    poses[:, :3, 3] = targets
-    return poses, 3
-
-
-def _pose(base_from_tip) -> np.ndarray:
-    pose = np.ascontiguousarray(base_from_tip, dtype=float)
-    if pose.shape != (4, 4) or not np.isfinite(pose).all():
-        raise ValueError(f"a pose is a finite (4, 4) matrix, not {pose.shape}")
-    if not np.allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-4):
-        raise ValueError("the rotation of a pose must be orthonormal")
-    return pose
+def _read(file) -> dict:
+    """What a YAML file holds. Raises FileNotFoundError, or ValueError for what is no mapping."""
+    if not file.is_file():
+        raise FileNotFoundError(f"no arm file {file}")
+    try:
+        spec = yaml.safe_load(file.read_text(encoding="utf-8"))
+    except yaml.YAMLError as error:
+        raise ValueError(f"{file} is not YAML: {error}") from None
+    if not isinstance(spec, dict):
+        raise ValueError(f"{file} must hold an arm's settings, such as urdf: my_arm.urdf")
+    return spec
 
 
 def _resolve(urdf) -> Path:
-    text = str(urdf)
-    if not text.startswith("pybullet_data:"):
-        return Path(text)
-    return Path(str(importlib.resources.files("pybullet_data"))) / text.removeprefix("pybullet_data:")
+    package, _, path = str(urdf).partition(":")
+    return Path(str(importlib.resources.files(package))) / path if package in PACKAGES else Path(urdf)
+
+
+def _gripper(given, description, arm_joints, file) -> Gripper:
+    given = given or {"joints": (), "open": (), "closed": ()}
+    if set(given) != {"joints", "open", "closed"}:
+        raise ValueError(f"{file}: a gripper has joints, open and closed, not {', '.join(given)}")
+    moving = [joint.name for joint in description.joints.values() if joint.kind in MOVING]
+    known = [name for name in moving if name not in arm_joints]
+    for name in given["joints"]:
+        if name not in known:
+            raise ValueError(f"{file}: the gripper's joint {name} is none of {', '.join(known) or 'no joint'}")
+    values = (_vector(given[key], None, len(given["joints"]), f"the gripper's {key}") for key in ("open", "closed"))
+    return Gripper(tuple(given["joints"]), *values)
 
 
 def _vector(given, otherwise, count, what) -> np.ndarray:

@@ -12,11 +12,12 @@ from robot.postures import Profile, end_profiles, path_to, taught_profile
 RESOLUTION = 1e-3  # m, to which clearances between waypoints are known
 CAP = 0.1  # m: clearances beyond this are not told apart here
 SHARED_PROFILES, OWN_POSTURES, SCREENING_STRIDE = 4, 4, 3
+OWN_TRIES = 8  # so many samples in a row are tried with profiles of their own in vain, then no more
 
 
 @dataclass(frozen=True, eq=False)
 class Attempt:
-    """A candidate with a profile. index: 0 is the mean. points (N, 3) [m]. path (N, J), shorter where the arm could not
+    """A candidate with a profile. index: 0 is the mean, negative a mean moved away from obstacles. points (N, 3) [m]. path (N, J), shorter where the arm could not
     follow.
 
     clearance: to the world [m]. refusal: why it is not feasible, empty where it is.
@@ -48,22 +49,23 @@ class Search:
     postures: int
 
     def all(self, candidates, orientation=None) -> list[Attempt]:
-        """Candidates (S, N, 3), the mean first; orientation: None or rows (t, quat_xyzw) that were taught."""
+        """Candidates (S, N, 3), the mean first; orientation: None or rows (t, quat_xyzw) that were taught.
+
+        A sample is tried with the mean's best profiles; where none of them serves, with its own.
+        """
         if orientation is not None:
             taught = [taught_profile(self.arm, orientation, self.start, candidates.shape[1])]
             return [self.best(k, points, taught, self.comfortable)[0] for k, points in enumerate(candidates)]
         mean, profiles = self.best(0, candidates[0], self._profiles(candidates[0], self.postures), np.inf)
-        return [mean] + [
-            self._sample(k, points, profiles[:SHARED_PROFILES]) for k, points in enumerate(candidates[1:], start=1)
-        ]
-
-    def _sample(self, index, points, shared) -> Attempt:
-        """With the mean's best profiles; where none of them serves, with the sample's own."""
-        attempt, _ = self.best(index, points, shared, self.comfortable)
-        if not attempt.refusal:
-            return attempt
-        own, _ = self.best(index, points, self._profiles(points, OWN_POSTURES), self.comfortable)
-        return max(attempt, own, key=lambda a: a.rank)
+        attempts, in_vain = [mean], 0
+        for k, points in enumerate(candidates[1:], start=1):
+            attempt, _ = self.best(k, points, profiles[:SHARED_PROFILES], self.comfortable)
+            if attempt.refusal and in_vain < OWN_TRIES:
+                own, _ = self.best(k, points, self._profiles(points, OWN_POSTURES), self.comfortable)
+                attempt = max(attempt, own, key=lambda a: a.rank)
+                in_vain = in_vain + 1 if attempt.refusal else 0
+            attempts.append(attempt)
+        return attempts
 
     def _profiles(self, points, count):
         return end_profiles(self.arm, self.model, points, self.start, count, self.margin)
@@ -134,7 +136,7 @@ def swept_refusal(model, path, t, index, margin) -> str:
 
 
 def title(index) -> str:
-    return "the mean" if index == 0 else f"sample {index}"
+    return "the mean" if index == 0 else f"sample {index}" if index > 0 else "the moved mean"
 
 
 def touch(index, t, clearance, pair, margin) -> str:

@@ -4,9 +4,10 @@ Notation
     clearance   signed distance [m] between two convex pieces; negative: how deep they overlap; values above ``cap`` are
                 given as ``cap``
     pair        (a, b): a piece of the arm and a piece of the world, or two pieces of the arm
-    lower       a bound from below on a pair's clearance, from balls that cover the arm (compiled, all postures at once)
+    lower       a bound from below on a pair's clearance, from balls that cover the arm
 
-Exact distances come from FCL, asked only for pairs whose lower bound is below the smallest distance found so far.
+Exact distances come from FCL, checked (separation.py), and asked only for pairs whose lower bound (bounds.py) is below
+the smallest distance found so far.
 Along a joint-space segment from q0 to q1 no point of a link strays farther than
 
     deviation = (sum |dq|)^2 R / 8        (R: a bound on the arm's length; the second derivative is at most 8 of this)
@@ -18,16 +19,20 @@ from the straight line between its two places, which are at most ``motion`` apar
 and segments are halved until this bound suffices or is sharper than the resolution. Nothing can be skipped.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import fcl
 import numpy as np
-from numba import njit
 
+from robot import separation
+from robot.bounds import lower_bounds
 from robot.kinematics import PRISMATIC
-from robot.shapes import BOX, CAPSULE, CYLINDER, body_pieces, link_pieces, region_pieces
+from robot.separation import TRUSTED, Solid, gap
+from robot.shapes import body_pieces, link_pieces, region_pieces
 
 WORLD, ITSELF = 0, 1
+NEAR_AT_HOME = 0.01  # m: what is nearer in a comfortable posture is a matter of coarse geometry
+SLIDING = 1e-3  # m, by which a held thing may come nearer to what it rests on
 ALWAYS_TOUCHING = 0.9  # share of random postures: such a pair is a matter of coarse geometry, not of the posture
 
 
@@ -43,28 +48,36 @@ class CollisionModel:
     """The arm among the bodies of a world, where they stand when this is made.
 
     arm: Arm. world: has ``client`` and ``bodies``, or None for the arm alone. regions: volumes in the world's frame
-    that the arm may not enter (teach.hull.Region); they count as bodies of the world. ignored: further pairs of names
-    that may touch. cap: larger clearances are not told apart [m].
+    that the arm may not enter (teach.hull.Region); they count as bodies of the world. only: {region: names of links}, the
+    regions that bind those links alone. held: {body: posture (J,)} bodies of the world that the tip carries, grasped where
+    they stand at that posture; what they rest on there (nearer than ``margin`` [m]) they may stay as near to, not nearer.
+    ignored: further pairs of names that may touch. cap: larger clearances are not told apart [m].
 
     Links that cannot move are not compared with the world (the base may stand on a table or in it). Of the arm's own
-    pairs those are left out that are neighbours, touch at home, or touch in nearly all random postures.
+    pairs those are left out that are neighbours, (nearly) touch at home, or touch in nearly all random postures.
     """
 
-    def __init__(self, arm, world=None, regions=(), ignored=(), cap=0.3):
+    def __init__(self, arm, world=None, regions=(), ignored=(), cap=0.3, *, only=None, held=None, margin=0.01):
         self.arm, self.cap = arm, float(cap)
-        self.links, self.pieces = (tuple(column) for column in zip(*link_pieces(arm.description)))
         bodies = body_pieces(world.client, world.bodies) if world is not None else []
-        self.surroundings = (*bodies, *region_pieces(regions))
+        self._only, self._held = _checked(only or {}, held or {}, arm, bodies, regions)
+        carried = [_carried(arm, piece, self._held[piece.name]) for piece in bodies if piece.name in self._held]
+        self.links, self.pieces = (tuple(column) for column in zip(*link_pieces(arm.description), *carried))
+        self.surroundings = (*(piece for piece in bodies if piece.name not in self._held), *region_pieces(regions))
         self._ignored = {frozenset(pair) for pair in ignored}
         self._objects = [fcl.CollisionObject(piece.geometry) for piece in self.pieces]
         self._objects += [fcl.CollisionObject(p.geometry, _fcl_pose(p.frame_from_piece)) for p in self.surroundings]
+        self._request = fcl.DistanceRequest(enable_nearest_points=True, enable_signed_distance=True)
+        self._solids = [Solid(piece) for piece in self.pieces + self.surroundings]
         self._corners = np.stack([piece.corners() for piece in self.pieces])  # (P, 8, 3) in the links' frames
         self._link_of_piece = np.array(self.links)
         self._reach = _reach(arm, self._corners)
         self._cover()
         self._pairs = np.array(self._world_pairs(), dtype=np.int64).reshape(-1, 2)
         self._own = 0
+        self._measured = None, None  # the last question and its answer: paths are measured, then swept
         self._choose_own_pairs()
+        self._allowed = self._resting(margin)  # (pairs,) [m], what is added to a pair's distance
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -93,16 +106,47 @@ class CollisionModel:
 
     def measure(self, q, cap=None) -> tuple[np.ndarray, np.ndarray]:
         """q (N, J) -> clearance (N, 2) [m] to the world and to itself; nearest pairs (N, 2), -1 where beyond cap."""
-        poses = self.arm.link_poses(q)
         cap = self.cap if cap is None else min(cap, self.cap)
-        lower = _lower_bounds(poses, self._balls, self._first, self._link_of_piece, self._pairs, *self._bounds)
+        asked = np.asarray(q, dtype=float).tobytes(), cap
+        if asked != self._measured[0]:
+            self._measured = asked, self._measure(self.arm.link_poses(q), cap)
+        return self._measured[1]
+
+    def _measure(self, poses, cap) -> tuple[np.ndarray, np.ndarray]:
+        lower = self._lower(poses)
         distance, pair = np.full((len(poses), 2), cap), np.full((len(poses), 2), -1)
         split = len(self._pairs) - self._own
         for n in np.flatnonzero((lower < cap).any(axis=1)):
-            placed = set()
+            placed = {}
             for group, (start, stop) in enumerate(((0, split), (split, len(self._pairs)))):
                 distance[n, group], pair[n, group] = self._exact(poses[n], lower[n, start:stop], start, cap, placed)
         return distance, pair
+
+    def close(self, q, within) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """q (N, J) -> all pairs nearer than ``within`` [m]: rows of q (K,), pairs (K,), clearances (K,) [m]."""
+        poses = self.arm.link_poses(q)
+        rows, pairs = np.nonzero(self._lower(poses) < within)
+        clearance = self.distances(q[rows], pairs)
+        near = clearance < within
+        return rows[near], pairs[near], clearance[near]
+
+    def of_world(self, pairs) -> np.ndarray:
+        """(K,) bool: which pairs (K,) are of the arm and the world."""
+        return np.asarray(pairs) < len(self._pairs) - self._own
+
+    def distances(self, q, pairs) -> np.ndarray:
+        """Clearance (K,) [m] of one pair each, at q (K, J)."""
+        poses = self.arm.link_poses(q)
+        distance, placed = np.zeros(len(poses)), {}
+        for k, pair in enumerate(pairs):
+            if k and not np.array_equal(q[k], q[k - 1]):
+                placed = {}
+            distance[k] = self._distance(*self._pairs[pair], poses[k], placed)
+        return distance + self._allowed[pairs]
+
+    def _lower(self, poses) -> np.ndarray:
+        bounds = lower_bounds(poses, self._balls, self._first, self._link_of_piece, self._pairs, *self._bounds)
+        return bounds + self._allowed
 
     def _exact(self, poses, lower, start, cap, placed):
         """Smallest exact distance among the pairs from ``start``, and which. Overlapping pairs are all measured."""
@@ -111,19 +155,31 @@ class CollisionModel:
             if lower[k] >= max(best, 0.0) or lower[k] >= cap:
                 break
             a, b = self._pairs[start + k]
-            distance = self._distance(a, b, poses, placed)
+            distance = self._distance(a, b, poses, placed) + self._allowed[start + k]
             if distance < best:
                 best, nearest = distance, start + k
         return best, nearest
 
     def _distance(self, a, b, poses, placed) -> float:
+        """Of two pieces, the links being at ``poses`` (L, 4, 4). placed: those that stand there already, {piece: solid}."""
         for piece in (a, b):
-            if piece < len(self.pieces) and piece not in placed:
-                pose = poses[self._link_of_piece[piece]] @ self.pieces[piece].frame_from_piece
-                self._objects[piece].setTransform(_fcl_pose(pose))
-                placed.add(piece)
-        request = fcl.DistanceRequest(enable_signed_distance=True)
-        return fcl.distance(self._objects[a], self._objects[b], request, fcl.DistanceResult())
+            if piece not in placed:
+                placed[piece] = self._place(piece, poses)
+        found = fcl.DistanceResult()
+        distance = fcl.distance(self._objects[a], self._objects[b], self._request, found)
+        if distance <= 0:
+            return distance
+        (ax, ay, az), (bx, by, bz) = found.nearest_points
+        certain = gap(*placed[a], *placed[b], ax - bx, ay - by, az - bz)
+        return distance if certain > distance - TRUSTED else separation.distance(placed[a], placed[b])
+
+    def _place(self, piece, poses) -> tuple:
+        """The piece where it is, for separation.py; a piece of the arm is put there for FCL too."""
+        if piece >= len(self.pieces):
+            return self._solids[piece].arrays(self.surroundings[piece - len(self.pieces)].frame_from_piece)
+        pose = poses[self._link_of_piece[piece]] @ self.pieces[piece].frame_from_piece
+        self._objects[piece].setTransform(_fcl_pose(pose))
+        return self._solids[piece].arrays(pose)
 
     def sweep(self, path, required=0.0, resolution=1e-3, cap=None) -> Sweep:
         """Clearance of the straight joint-space motions between the postures of ``path`` (T, J), bounded from below.
@@ -197,10 +253,20 @@ class CollisionModel:
             for a in moving
             for b in range(len(self.pieces), len(names))
             if frozenset((names[a], names[b])) not in self._ignored
+            and names[a] in self._only.get(names[b], names)
         ]
 
+    def _resting(self, margin) -> np.ndarray:
+        """How much nearer than ``margin`` held things are, where they are grasped, to what they rest on."""
+        allowed = np.zeros(len(self._pairs))
+        for name, posture in self._held.items():
+            poses, placed = self.arm.link_poses(posture)[0], {}
+            for k in np.flatnonzero([self.names[a] == name for a, _ in self._pairs[: len(self._pairs) - self._own]]):
+                allowed[k] = max(0.0, margin + SLIDING - self._distance(*self._pairs[k], poses, placed))
+        return np.where(allowed > SLIDING, allowed, 0.0)
+
     def _choose_own_pairs(self):
-        """Start from every pair of links that are not neighbours; drop those that touch at home or nearly always."""
+        """Start from every pair of links that are not neighbours; drop those that (nearly) touch at home, or nearly always."""
         rigid = _rigid_groups(self.arm.tree)
         parents = {
             rigid[link]: rigid[self.arm.tree.parent[link]] for link in range(len(rigid)) if rigid[link] == link and link
@@ -216,15 +282,39 @@ class CollisionModel:
             and parents.get(groups[b]) != groups[a]
             and frozenset((self.names[a], self.names[b])) not in self._ignored
         ]
-        postures = np.vstack([self.arm.home, self.arm.random(100, 0)])
-        touching = np.zeros((len(postures), len(candidates)), dtype=bool)
+        postures = np.vstack([*self._held.values(), self.arm.home, self.arm.random(100, 0)])
+        usual = len(self._held)  # where home stands
+        clearance = np.zeros((len(postures), len(candidates)))
         for n, poses in enumerate(self.arm.link_poses(postures)):
-            placed = set()
-            touching[n] = [self._distance(a, b, poses, placed) <= 0 for a, b in candidates]
-        kept = ~touching[0] & (touching.mean(axis=0) < ALWAYS_TOUCHING)
+            placed = {}
+            clearance[n] = [self._distance(a, b, poses, placed) for a, b in candidates]
+        held = np.array([bool({self.names[a], self.names[b]} & set(self._held)) for a, b in candidates])
+        near = np.where(held, -np.inf, NEAR_AT_HOME)
+        kept = (clearance[usual] > near) & ((clearance <= 0).mean(axis=0) < ALWAYS_TOUCHING)
         own = np.array([pair for pair, keep in zip(candidates, kept) if keep], dtype=np.int64).reshape(-1, 2)
         self._own = len(own)
         self._pairs = np.vstack([self._pairs, own])
+
+
+def _checked(only, held, arm, bodies, regions):
+    """``only`` and ``held`` as they are; ValueError where they name what is not there."""
+    links, named = arm.link_names, {region.name for region in regions}
+    for region, bound in only.items():
+        unknown = [region] * (region not in named) or [link for link in bound if link not in links]
+        if unknown:
+            there = ", ".join([*sorted(named), *links])
+            raise ValueError(f"a region that binds links names {unknown[0]!r}; there are {there}")
+    for name, posture in held.items():
+        if name not in {piece.name for piece in bodies}:
+            there = ", ".join(sorted({piece.name for piece in bodies})) or "no bodies"
+            raise ValueError(f"{name!r} cannot be held; there are {there}")
+    return only, {name: np.array(posture, dtype=float) for name, posture in held.items()}
+
+
+def _carried(arm, piece, posture) -> tuple:
+    """(index of the tip's link, piece in that link's frame) of a piece of the world that is grasped at a posture."""
+    pose = np.linalg.inv(arm.fk(posture)) @ piece.frame_from_piece
+    return arm.link_names.index(arm.tip_link), replace(piece, frame_from_piece=pose)
 
 
 def _keep_nearest(seen, who, owner, distance, pair):
@@ -259,57 +349,3 @@ def _reach(arm, corners) -> float:
 
 def _fcl_pose(pose) -> fcl.Transform:
     return fcl.Transform(pose[:3, :3], pose[:3, 3])
-
-
-@njit(cache=True)
-def _outside(kind, size, x, y, z):
-    """Signed distance [m] of a point to a primitive at the origin: exact outside, no larger than the truth inside."""
-    if kind == BOX:
-        a, b, c = abs(x) - size[0], abs(y) - size[1], abs(z) - size[2]
-    elif kind == CYLINDER:
-        a, b, c = np.sqrt(x * x + y * y) - size[0], -np.inf, abs(z) - size[1]
-    elif kind == CAPSULE:
-        along = max(abs(z) - size[1], 0.0)
-        return np.sqrt(x * x + y * y + along * along) - size[0]
-    else:
-        return np.sqrt(x * x + y * y + z * z) - size[0]
-    out = np.sqrt(max(a, 0.0) ** 2 + max(b, 0.0) ** 2 + max(c, 0.0) ** 2)
-    return out + min(max(a, b, c), 0.0)
-
-
-@njit(cache=True)
-def _place(poses, balls, first, links, out):
-    for piece in range(len(links)):
-        T = poses[links[piece]]
-        for b in range(first[piece], first[piece + 1]):
-            for i in range(3):
-                out[b, i] = T[i, 0] * balls[b, 0] + T[i, 1] * balls[b, 1] + T[i, 2] * balls[b, 2] + T[i, 3]
-
-
-@njit(cache=True)
-def _lower_bounds(poses, balls, first, links, pairs, kinds, sizes, piece_from_world):
-    """Link poses (N, L, 4, 4) -> bounds from below (N, pairs) [m] by the balls (B, 4) that cover the arm."""
-    out = np.full((len(poses), len(pairs)), np.inf)
-    centres = np.empty((len(balls), 3))
-    count = len(links)
-    for n in range(len(poses)):
-        _place(poses[n], balls, first, links, centres)
-        for p in range(len(pairs)):
-            a, b = pairs[p]
-            for i in range(first[a], first[a + 1]):
-                x, y, z = centres[i]
-                if b >= count:
-                    M = piece_from_world[b - count]
-                    d = _outside(
-                        kinds[b - count],
-                        sizes[b - count],
-                        M[0, 0] * x + M[0, 1] * y + M[0, 2] * z + M[0, 3],
-                        M[1, 0] * x + M[1, 1] * y + M[1, 2] * z + M[1, 3],
-                        M[2, 0] * x + M[2, 1] * y + M[2, 2] * z + M[2, 3],
-                    )
-                    out[n, p] = min(out[n, p], d - balls[i, 3])
-                else:
-                    for j in range(first[b], first[b + 1]):
-                        r = np.sqrt((x - centres[j, 0]) ** 2 + (y - centres[j, 1]) ** 2 + (z - centres[j, 2]) ** 2)
-                        out[n, p] = min(out[n, p], r - balls[i, 3] - balls[j, 3])
-    return out

@@ -8,6 +8,8 @@ Notation
     e          (6,) what is missing: position [m], and rotation vector [rad] times LEVER, so that both are lengths
     lambda     damping [m], chosen as Sugihara (2011): lambda^2 = DAMPING |e|^2 + FLOOR, hence quadratic convergence
                at the end
+    rows       what of a target counts: POSITION, POINTED (and the direction of the z axis) or POSE
+    slack      rotation [rad] by which the tip may be turned away; only what exceeds it is an error
 
 Joints at a limit that the step pushes outwards are taken out of the step (active set), so limits hold at every
 iteration.
@@ -22,6 +24,7 @@ LEVER = 0.3  # m: a rotation error of 1 rad weighs as much as a position error o
 DAMPING = 0.02
 FLOOR, SETTLING_FLOOR = 1e-9, 1e-7  # m^2; the second keeps steps in the null space small near singular postures
 FIXED, REVOLUTE, PRISMATIC = 0, 1, 2
+POSITION, POINTED, POSE = 3, 5, 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,21 +152,55 @@ def rotation_vector(R):
 
 
 @njit(cache=True)
-def _error(target, pose, e):
-    """Fill e (6,), or (3,) where orientation is free; return |e|^2, position error [m] and rotation error [rad]."""
+def _pointing(target, pose, v):
+    """Fill v (3,) with the shortest rotation vector [rad] that turns the pose's z axis to the target's."""
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        v[i] = pose[j, 2] * target[k, 2] - pose[k, 2] * target[j, 2]
+    sine = np.sqrt(v[0] ** 2 + v[1] ** 2 + v[2] ** 2)
+    cosine = pose[0, 2] * target[0, 2] + pose[1, 2] * target[1, 2] + pose[2, 2] * target[2, 2]
+    if sine < 1e-9 and cosine < 0:  # opposite: half a turn about any axis across, such as the pose's x
+        for i in range(3):
+            v[i] = np.pi * pose[i, 0]
+        return
+    factor = np.arctan2(sine, cosine) / max(sine, 1e-12)
+    for i in range(3):
+        v[i] *= factor
+
+
+@njit(cache=True)
+def _error(target, pose, rows, slack, e, J):
+    """Fill e (6,), or (3,) where orientation is free; return |e|^2, position error [m] and rotation error [rad].
+
+    Directions that do not count are taken out of J (6, J): turning about z where rows is POINTED, all turning within
+    the slack.
+    """
     position2, rotation2 = 0.0, 0.0
     for i in range(3):
         e[i] = target[i, 3] - pose[i, 3]
         position2 += e[i] ** 2
-    if len(e) > 3:
-        R = np.empty((3, 3))
+    if rows != POSITION:
+        v = np.empty(3)
+        if rows == POINTED:
+            _pointing(target, pose, v)
+            for j in range(J.shape[1]):
+                along = pose[0, 2] * J[3, j] + pose[1, 2] * J[4, j] + pose[2, 2] * J[5, j]
+                for i in range(3):
+                    J[3 + i, j] -= along * pose[i, 2]
+        else:
+            R = np.empty((3, 3))
+            for i in range(3):
+                for j in range(3):
+                    R[i, j] = target[i, 0] * pose[j, 0] + target[i, 1] * pose[j, 1] + target[i, 2] * pose[j, 2]
+            v = rotation_vector(R)
+        angle = np.sqrt(v[0] ** 2 + v[1] ** 2 + v[2] ** 2)
+        share = 1.0 if slack <= 0.0 else max(0.0, 1.0 - slack / max(angle, 1e-12))
+        rotation2 = (share * angle) ** 2
         for i in range(3):
-            for j in range(3):
-                R[i, j] = target[i, 0] * pose[j, 0] + target[i, 1] * pose[j, 1] + target[i, 2] * pose[j, 2]
-        v = rotation_vector(R)
-        for i in range(3):
-            e[3 + i] = v[i] * LEVER
-            rotation2 += v[i] ** 2
+            e[3 + i] = share * v[i] * LEVER
+            if share == 0.0:
+                for j in range(J.shape[1]):
+                    J[3 + i, j] = 0.0
     return position2 + LEVER**2 * rotation2, np.sqrt(position2), np.sqrt(rotation2)
 
 
@@ -249,19 +286,23 @@ def _copy(values, out):
 
 
 @njit(cache=True)
-def reach(tree, lower, upper, target, q, rows, iterations, tolerance, largest):
-    """Levenberg-Marquardt from q, in place. rows: 6 for a pose, 3 for a position. largest: longest step of a joint
-    [rad].
+def _residual(rows):
+    return np.empty(3 if rows == POSITION else 6)
+
+
+@njit(cache=True)
+def reach(tree, lower, upper, target, q, rows, slack, iterations, tolerance, largest):
+    """Levenberg-Marquardt from q, in place. largest: longest step of a joint [rad].
 
     Leaves the best posture in q; returns its position error [m] and rotation error [rad]. Ends early where progress
     stalls.
     """
-    poses, e, dq, nothing = np.empty((len(tree[0]), 4, 4)), np.empty(rows), np.zeros(len(q)), np.zeros(len(q))
+    poses, e, dq, nothing = np.empty((len(tree[0]), 4, 4)), _residual(rows), np.zeros(len(q)), np.zeros(len(q))
     _advance(q, dq, 0.0, 1.0, lower, upper)
     best_q, best, best_position, best_rotation, stalled = np.empty(len(q)), np.inf, np.inf, np.inf, 0
     for _ in range(iterations):
         J = jacobian(tree, q, poses)
-        size2, position, rotation = _error(target, poses[len(poses) - 1], e)
+        size2, position, rotation = _error(target, poses[len(poses) - 1], rows, slack, e, J)
         stalled = 0 if size2 < 0.98 * best else stalled + 1
         if size2 < best:
             best, best_position, best_rotation = size2, position, rotation
@@ -275,18 +316,18 @@ def reach(tree, lower, upper, target, q, rows, iterations, tolerance, largest):
 
 
 @njit(cache=True)
-def settle(tree, lower, upper, target, q, rest, gain, rows, iterations, tolerance):
+def settle(tree, lower, upper, target, q, rest, gain, rows, slack, iterations, tolerance):
     """The posture nearest to ``rest`` among those that keep the target: min |q - rest| subject to e(q) = 0, in place,
     from q close to it.
 
     Each step closes ``gain`` of the gap to rest in the null space; the last ones only restore the target. Returns the
     position error [m] and rotation error [rad].
     """
-    poses, e, dq, pull = np.empty((len(tree[0]), 4, 4)), np.empty(rows), np.zeros(len(q)), np.zeros(len(q))
+    poses, e, dq, pull = np.empty((len(tree[0]), 4, 4)), _residual(rows), np.zeros(len(q)), np.zeros(len(q))
     position, rotation = np.inf, np.inf
     for i in range(iterations + 6):
         J = jacobian(tree, q, poses)
-        size2, position, rotation = _error(target, poses[len(poses) - 1], e)
+        size2, position, rotation = _error(target, poses[len(poses) - 1], rows, slack, e, J)
         for j in range(len(q)):
             pull[j] = gain * (rest[j] - q[j]) if i < iterations else 0.0
         longest = _step(J, e, pull, q, lower, upper, size2 * DAMPING + SETTLING_FLOOR, dq)
@@ -297,13 +338,13 @@ def settle(tree, lower, upper, target, q, rest, gain, rows, iterations, toleranc
 
 
 @njit(cache=True)
-def solve(tree, lower, upper, target, starts, rows, iterations, position_tolerance, rotation_tolerance):
+def solve(tree, lower, upper, target, starts, rows, slack, iterations, position_tolerance, rotation_tolerance):
     """Try starts (S, J) in turn until one reaches the target, else the best. Returns q, position and rotation error."""
     q, best_q = np.empty(starts.shape[1]), np.empty(starts.shape[1])
     best_position, best_rotation = np.inf, np.inf
     for s in range(len(starts)):
         _copy(starts[s], q)
-        position, rotation = reach(tree, lower, upper, target, q, rows, iterations, 1e-6, 0.8)
+        position, rotation = reach(tree, lower, upper, target, q, rows, slack, iterations, 1e-6, 0.8)
         if position + LEVER * rotation < best_position + LEVER * best_rotation:
             best_position, best_rotation = position, rotation
             _copy(q, best_q)
@@ -313,7 +354,7 @@ def solve(tree, lower, upper, target, starts, rows, iterations, position_toleran
 
 
 @njit(cache=True)
-def track(tree, lower, upper, targets, rests, q, gain, rows, tolerance):
+def track(tree, lower, upper, targets, rests, q, gain, rows, slack, tolerance):
     """Follow targets (T, 4, 4) from q (changed), staying near rests (T, J) in the null space.
 
     Returns q (T, J), position errors (T,) [m], rotation errors (T,) [rad].
@@ -321,10 +362,10 @@ def track(tree, lower, upper, targets, rests, q, gain, rows, tolerance):
     count = len(targets)
     path, position, rotation = np.empty((count, len(q))), np.empty(count), np.empty(count)
     for t in range(count):
-        position[t], rotation[t] = settle(tree, lower, upper, targets[t], q, rests[t], gain, rows, 8, tolerance)
+        position[t], rotation[t] = settle(tree, lower, upper, targets[t], q, rests[t], gain, rows, slack, 8, tolerance)
         if position[t] + LEVER * rotation[t] > 10 * tolerance:
             _copy(q, path[t])
-            p, r = reach(tree, lower, upper, targets[t], path[t], rows, 60, tolerance, 0.2)
+            p, r = reach(tree, lower, upper, targets[t], path[t], rows, slack, 60, tolerance, 0.2)
             if p + LEVER * r < position[t] + LEVER * rotation[t]:
                 position[t], rotation[t] = p, r
                 _copy(path[t], q)

@@ -1,10 +1,12 @@
 """plan: a distribution of trajectories becomes one checked and timed motion.
 
+    0. Go to where the motion begins, if the hand is elsewhere (approach.py).
     1. Condition the distribution on where the hand is. The candidates are its mean and samples of it; where the skill
        knows several ways, the mean of each and samples of each by its share.
     2. For each, find a joint path that keeps the tip on it (postures.py: which way the hand is turned is free unless
        taught) and measure its clearance to the world and to the arm itself, swept between waypoints (collision.py).
        All profiles are tried on the mean; the samples begin with those that served the mean best (attempt.py).
+       A mean that is refused is moved away from what it meets, as little as its distribution says (deform.py).
     3. Of the feasible candidates take the most likely that is ``comfortable`` clear; if none is, the one with most
        clearance.
     4. Time it (timing.py) and check the timed motion once more, as it will be performed.
@@ -12,99 +14,23 @@
 Likelihood is compared by the squared Mahalanobis distance to the conditioned mean, averaged over the path.
 """
 
-from dataclasses import dataclass, fields, replace
-from pathlib import Path
-from zipfile import BadZipFile
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from robot.approach import approach as approach_path
 from robot.attempt import RESOLUTION, Attempt, Search, swept_refusal, title
 from robot.collision import ITSELF, WORLD, CollisionModel
-from robot.timing import motion_spline, time_path
-from scene.files import replacing
-from teach.hull import visual_hull
+from robot.deform import Moved, moved_mean
+from robot.inverse import NoSolution, branches, path_poses
+from robot.keepout import regions_of
+from robot.motion import Plan
+from robot.timing import time_path
 
+MOVED = -1  # the index of the first way's moved mean; that of the second is one below
+BESIDE = 5e-3  # m, beyond the margin, for corners of the approach that are rounded
 POSITION_TOLERANCE = 2e-3  # m, of the timed motion against the candidate
-
-
-@dataclass(frozen=True, eq=False)
-class Plan:
-    """A motion and what was checked about it; at rest at both ends, the first row is the present state.
-
-    times (T,) [s]. joints (T, J) [rad]. names: of the joints. position_error (T,) [m]: tip against the candidate
-    followed. clearance (T,) [m]: to the world and the skill's keep-out regions, at most 0.3. self_clearance (T,) [m]: of the arm to itself. tip (T, 3)
-    [m]. refusals: a sentence for each refused candidate. samples: candidates tried. chosen: which is followed, 0 is the
-    mean. way: of the skill's ways the one that is followed, the most usual is 0. feasible: whether the motion passed every check; where False, ``joints`` are the least bad candidate, not to
-    be performed.
-    """
-
-    times: np.ndarray
-    joints: np.ndarray
-    names: tuple[str, ...]
-    position_error: np.ndarray
-    clearance: np.ndarray
-    self_clearance: np.ndarray
-    tip: np.ndarray
-    refusals: tuple[str, ...]
-    samples: int
-    chosen: int
-    feasible: bool
-    way: int = 0
-
-    @property
-    def sentence(self) -> str:
-        """What came of it, in one line."""
-        if not self.feasible:
-            return f"none of {self.samples} candidates is feasible; {self.refusals[self.chosen]}"
-        which = ("the mean" if self.chosen == 0 else f"sample {self.chosen}") + f" (way {self.way + 1})" * (self.way > 0)
-        feasible, clear, error = (
-            self.samples - len(self.refusals),
-            1e3 * self.clearance.min(),
-            1e3 * self.position_error.max(),
-        )
-        return (
-            f"{which} is taken, {feasible} of {self.samples} candidates are feasible: {self.times[-1]:.1f} s, "
-            f"at least {clear:.0f} mm clear of the world, position within {error:.2f} mm"
-        )
-
-    def joint_trajectory(self) -> dict:
-        """In the layout of ROS 2's trajectory_msgs/JointTrajectory; the first point is the present state."""
-        motion = motion_spline(self.times, self.joints)
-        rows = zip(self.times, self.joints, motion(self.times, 1), motion(self.times, 2))
-        points = [
-            {
-                "positions": q.tolist(),
-                "velocities": v.tolist(),
-                "accelerations": a.tolist(),
-                "effort": [],
-                "time_from_start": dict(zip(("sec", "nanosec"), divmod(round(1e9 * t), 10**9))),
-            }
-            for t, q, v, a in rows
-        ]
-        header = {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": ""}
-        return {"header": header, "joint_names": list(self.names), "points": points}
-
-    def save(self, path) -> None:
-        """Write an npz file, whole or not at all."""
-        words = ("names", "refusals")
-        values = {f.name: np.array(getattr(self, f.name), dtype=str if f.name in words else None) for f in fields(self)}
-        with replacing(path) as temporary:
-            np.savez(temporary, **values)
-
-    @classmethod
-    def load(cls, path) -> "Plan":
-        """Read what ``save`` wrote. Raises FileNotFoundError, or ValueError for any other file."""
-        if not Path(path).is_file():
-            raise FileNotFoundError(f"no plan file {path}")
-        try:
-            with np.load(path, allow_pickle=False) as file:
-                values = {f.name: file[f.name] for f in fields(cls) if f.name != "way"} | {"way": file.get("way", np.array(0))}
-        except (ValueError, KeyError, EOFError, OSError, BadZipFile) as error:
-            raise ValueError(f"{path} is not a plan file ({error}); robot.plan writes one") from None
-        words = {name: tuple(values[name].tolist()) for name in ("names", "refusals")}
-        numbers = {name: values[name].item() for name in ("samples", "chosen", "feasible", "way")}
-        return cls(**values | words | numbers)
 
 
 def plan(
@@ -120,36 +46,88 @@ def plan(
     comfortable=0.03,
     postures=12,
     rate=50.0,
+    moved=0.2,
+    keep_out=(),
+    outlined_for=None,
+    held=(),
+    approach=0.15,
 ) -> Plan:
     """Choose, check and time a motion of the arm among the bodies of the world.
 
     skill: Skill. arm: Arm. world: World (or anything with ``client`` and ``bodies``), None for free space. start (J,)
     [rad]: the present posture (home). seed: of the samples. samples: candidates, the mean among them. waypoints: of
     each path. margin [m]: least clearance to anything. comfortable [m]: clearance beyond which more likely is better
-    than more clear. postures: end postures tried on the mean. rate [Hz]: samples of the plan.
-    The regions that skill.keep_out outlines are kept clear of as if they were bodies. The motion takes at least
-    ``skill.duration``. Raises ValueError where the start itself is out of limits or too close to something, SketchError
-    where outlines bound no region.
+    than more clear. postures: end postures tried on the mean. rate [Hz]: samples of the plan. moved [m]: how far a mean
+    that is refused may be moved at most, 0 for not at all. keep_out: boxes to keep out of, see keepout.py. outlined_for:
+    the only links that must keep out of the regions that skill.keep_out outlines, all where it is None. held: bodies that
+    the hand carries from the start. approach [m]: where the hand is farther from where the motion was taught to begin, it
+    goes there first; nearer, or where this is None, the motion is conditioned to begin at the hand.
+    Regions are kept clear of as if they were bodies. The motion takes at least ``skill.duration``. Raises ValueError where
+    the start itself is out of limits or too close to something, NoSolution where the beginning cannot be reached,
+    SketchError where outlines bound no region.
     """
     if samples < 1 or waypoints < 2:
         raise ValueError(f"a plan needs at least 1 sample and 2 waypoints, not {samples} and {waypoints}")
     start = np.array(arm.home if start is None else start, dtype=float)
-    model = CollisionModel(arm, world, visual_hull(skill.keep_out))
+    regions, only = regions_of(skill.keep_out, outlined_for, keep_out)
+    model = CollisionModel(arm, world, regions, only=only, held={name: start for name in held}, margin=margin)
     _check_start(arm, model, start, margin)
-    candidates, unlikely, way = _candidates(skill, arm.fk(start)[:3, 3], samples, waypoints, seed)
-    attempts = Search(arm, model, start, margin, comfortable, postures).all(candidates, skill.orientation)
+    lead = None if held or approach is None else _lead(skill, arm, model, start, approach, margin, rate, seed)
+    begin = start if lead is None else lead.joints[-1]
+    search = Search(arm, model, begin, margin, comfortable, postures)
+    motion = _motion(skill, search, samples, waypoints, seed, rate, moved)
+    return motion if lead is None else motion.after(lead, arm.velocity, arm.acceleration)
+
+
+def _lead(skill, arm, model, start, approach, margin, rate, seed) -> Plan | None:
+    """The motion to where the taught one begins, None where the hand is nearer to that than ``approach`` [m]."""
+    tip, begin = arm.fk(start), skill.distribution.mean_at([0.0])[0]
+    if np.linalg.norm(tip[:3, 3] - begin) <= approach:
+        return None
+    pose, rows = path_poses(begin[None])
+    postures = sorted(branches(arm, pose[0], rows, 0.0, seed), key=lambda q: np.abs(q - start).max())
+    clear = [q for q in postures if model.clearance(q) >= margin + BESIDE]
+    where = ", ".join(f"{x:.3f}" for x in begin)
+    advice = "robot.planner.approach=null bends the motion to begin where the hand is"
+    if not clear:
+        raise NoSolution(f"no posture of {arm.name} has the hand where the motion begins ({where}) m and is clear; {advice}")
+    try:
+        path = approach_path(model, start, clear[0], min(margin + BESIDE, model.clearance(start)), seed)
+        times, joints, index = time_path(path, arm.velocity, arm.acceleration, 0.0, rate)
+    except ValueError as error:
+        raise NoSolution(f"the motion begins at ({where}) m: {error}; {advice}") from None
+    distance, _ = model.measure(joints)
+    timed = _Timed(times, joints, index / (len(path) - 1), np.zeros(len(times)), distance, arm.fk(joints)[:, :3, 3])
+    refusal = swept_refusal(model, joints, timed.waypoint, 0, margin - RESOLUTION)
+    if refusal:
+        raise NoSolution(f"on the way to where the motion begins: {refusal.partition(': ')[2]}; {advice}")
+    return _plan(arm, timed, {}, 0, 0, 0, "", True)
+
+
+def _motion(skill, search, samples, waypoints, seed, rate, moved) -> Plan:
+    """The taught motion from the search's start on."""
+    arm, model, comfortable = search.arm, search.model, search.comfortable
+    ways = skill.starting_at(arm.fk(search.start)[:3, 3])[:samples]
+    candidates, way = _candidates(ways, samples, waypoints, seed)
+    attempts = search.all(candidates, skill.orientation)
+    detours = _detours(search, ways, attempts, moved)
+    said = "; ".join(_said(detour, index) for index, detour in detours.items())
+    attempts += [detour.attempt for detour in detours.values() if detour]
+    way = dict(enumerate(way)) | {index: MOVED - index for index in detours}
+    unlikely = {a.index: _unlikely(ways[way[a.index]], a.points) for a in attempts}
     refusals = {a.index: a.refusal for a in attempts if a.refusal}
     for attempt in _in_order(attempts, unlikely, comfortable):
         try:
             timed = _time(arm, model, attempt, skill.duration, rate)
-            refusals[attempt.index] = _timed_refusal(model, timed, attempt.index, margin)
+            refusals[attempt.index] = _timed_refusal(model, timed, attempt.index, search.margin)
         except ValueError as error:
             refusals[attempt.index] = f"{title(attempt.index)}: {error}"
         if not refusals[attempt.index]:
             del refusals[attempt.index]
-            return _plan(arm, timed, refusals, attempt.index, way, True)
-    least_bad = max(attempts, key=lambda a: a.rank)
-    return _plan(arm, _untimely(arm, model, least_bad, skill.duration, rate), refusals, least_bad.index, way, False)
+            return _plan(arm, timed, refusals, attempt.index, samples, int(way[attempt.index]), said, True)
+    least_bad = max((a for a in attempts if a.index >= 0), key=lambda a: a.rank)
+    timed = _untimely(arm, model, least_bad, skill.duration, rate)
+    return _plan(arm, timed, refusals, least_bad.index, samples, int(way[least_bad.index]), said, False)
 
 
 def _check_start(arm, model, start, margin):
@@ -166,25 +144,44 @@ def _check_start(arm, model, start, margin):
         raise ValueError(f"at the start {a} is {where} {b} (margin {1e3 * margin:.0f} mm); start the arm elsewhere")
 
 
-def _candidates(skill, tip, samples, waypoints, seed):
-    """Paths (samples, N, 3) from the tip on, the mean first, how unlikely each is (samples,), and its way (samples,).
-
-    Unlikely: squared Mahalanobis distance to the mean of its way, and twice the negative log share of that."""
+def _candidates(ways, samples, waypoints, seed):
+    """Paths (samples, N, 3), the means of the ways first, and whose way each goes (samples,)."""
     t, rng = np.linspace(0, 1, waypoints), np.random.default_rng(seed)
-    ways = skill.starting_at(tip)[:samples]
     counts = np.diff(np.round((samples - len(ways)) * np.cumsum([0.0] + [way.share for way in ways])).astype(int))
-    paths, unlikely = [], []
-    for way, count in zip(ways, counts, strict=True):
-        mean = way.distribution.mean_at(t)
-        drawn = np.concatenate([mean[None], way.distribution.sample(count, t, rng)])
-        if not np.isfinite(drawn).all():
-            raise ValueError("the skill's distribution gives trajectories that are not finite numbers; fit it again")
-        inverse = np.linalg.inv(way.distribution.covariance_at(t) + 1e-6 * np.eye(3))  # it vanishes at the start
-        paths.append(drawn)
-        unlikely.append(np.einsum("nta,tab,ntb->n", drawn - mean, inverse, drawn - mean) / waypoints - 2 * np.log(way.share))
+    paths = [
+        np.concatenate([way.distribution.mean_at(t)[None], way.distribution.sample(count, t, rng)])
+        for way, count in zip(ways, counts, strict=True)
+    ]
+    if not all(np.isfinite(part).all() for part in paths):
+        raise ValueError("the skill's distribution gives trajectories that are not finite numbers; fit it again")
     of_way = [np.full(len(part), k) for k, part in enumerate(paths)]
     means_first = lambda parts: np.concatenate([part[:1] for part in parts] + [part[1:] for part in parts])
-    return means_first(paths), means_first(unlikely), means_first(of_way)
+    return means_first(paths), means_first(of_way)
+
+
+def _unlikely(way, points) -> float:
+    """Squared Mahalanobis distance of points (N, 3) to the mean of a way, on average, and twice the negative log share."""
+    t = np.linspace(0, 1, len(points))
+    away = points - way.distribution.mean_at(t)
+    inverse = np.linalg.inv(way.distribution.covariance_at(t) + 1e-6 * np.eye(3))  # it vanishes at the start
+    return np.einsum("ta,tab,tb->", away, inverse, away) / len(points) - 2 * np.log(way.share)
+
+
+def _detours(search, ways, attempts, farthest) -> dict[int, Moved | None]:
+    """{index: the moved mean} of each way whose mean is refused."""
+    refused = [k for k in range(len(ways)) if attempts[k].refusal] if farthest > 0 else []
+    return {
+        MOVED - k: moved_mean(search, ways[k].distribution, attempts[k], MOVED - k, farthest)
+        for k in refused
+    }
+
+
+def _said(detour, index) -> str:
+    if detour is None:
+        return f"{title(index)}: no posture of the arm reaches the end"
+    if detour.attempt.refusal:
+        return detour.attempt.refusal
+    return f"the mean moved by at most {1e3 * detour.distance:.0f} mm ({detour.deviations:.1f} deviations)"
 
 
 def _in_order(attempts, unlikely, comfortable) -> list[Attempt]:
@@ -229,8 +226,8 @@ def _timed_refusal(model, timed, index, margin) -> str:
     return swept_refusal(model, timed.joints, timed.waypoint, index, margin - RESOLUTION)
 
 
-def _plan(arm, timed, refusals, chosen, way, feasible) -> Plan:
-    said = tuple(refusals[k] for k in sorted(refusals))
+def _plan(arm, timed, refusals, chosen, samples, way, moved, feasible) -> Plan:
+    said = tuple(refusals[k] for k in sorted(refusals) if k >= 0)
     return Plan(
         timed.times,
         timed.joints,
@@ -240,8 +237,9 @@ def _plan(arm, timed, refusals, chosen, way, feasible) -> Plan:
         timed.distance[:, ITSELF],
         timed.tip,
         said,
-        len(way),
+        samples,
         chosen,
         feasible,
-        int(way[chosen]),
+        way,
+        moved,
     )

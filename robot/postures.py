@@ -111,10 +111,15 @@ def path_to(arm: Arm, points, start, profile: Profile) -> np.ndarray:
     if profile.turned is not None:
         poses = np.tile(np.eye(4), (len(points), 1, 1))
         poses[:, :3, :3], poses[:, :3, 3] = profile.turned, points
-        return arm.follow(poses, start=start, rest=profile.end)
+        return _from(start, arm.follow(poses, start=start, rest=profile.end))
     end = profile.end if profile.free else _moved_end(arm, points, profile)
     rest = start + (end - start) * SCHEDULES[profile.schedule](np.linspace(0, 1, len(points)))[:, None]
-    return arm.follow(points, start=start, rest=rest, gain=0.8)
+    return _from(start, arm.follow(points, start=start, rest=rest, gain=0.8))
+
+
+def _from(start, path) -> np.ndarray:
+    """The path, begun exactly where the arm is if that is where it begins: iterations leave some micrometres."""
+    return np.vstack([start, path[1:]]) if np.abs(path[0] - start).max() < 1e-3 else path
 
 
 def _moved_end(arm, points, profile) -> np.ndarray:

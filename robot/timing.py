@@ -49,10 +49,10 @@ def time_path(
         times = np.linspace(0, clock[-1] * longer, int(np.ceil(clock[-1] * longer * rate)) + 1)
         position = np.interp(times / longer, clock, along)
         joints = spline(position)
-        excess = _excess(times, joints, velocity, acceleration)
-        if excess <= 1:
+        over = excess(times, joints, velocity, acceleration)
+        if over <= 1:
             return times, joints, to_index(position)
-        longer *= max(excess, 1.01)
+        longer *= max(over, 1.01)
     raise ValueError("the path bends too sharply for the velocity and acceleration limits")
 
 
@@ -91,7 +91,7 @@ def _arc_at(clock, knots, grid, speed):
     return np.clip(grid[k] + speed[k] * tau + (speed[k + 1] - speed[k]) / step * tau**2 / 2, 0, grid[-1])
 
 
-def _excess(times, joints, velocity, acceleration) -> float:
+def excess(times, joints, velocity, acceleration) -> float:
     """By which factor the motion must be slowed down; at most 1 where it is within the limits."""
     motion = motion_spline(times, joints)
     fine = np.linspace(0, times[-1], 4 * len(times))

@@ -10,6 +10,7 @@ from pybullet_utils.bullet_client import BulletClient
 from scipy.spatial.transform import Rotation
 
 from robot.arm import Arm, NoSolution
+from robot.collision import CollisionModel
 from robot.kinematics import rotation_vector
 from robot.urdf import Urdf
 
@@ -223,3 +224,43 @@ def test_a_missing_urdf_tip_or_mesh_is_said(tmp_path):
     mesh = '<link name="a"><collision><geometry><mesh filename="package://gone.obj"/></geometry></collision></link>'
     with pytest.raises(FileNotFoundError, match="gone.obj"):
         Urdf.load(write_urdf(tmp_path, mesh))
+
+
+def test_an_arm_of_ones_own_is_a_short_file(tmp_path):
+    write_urdf(tmp_path, *map(LINK.format, "abc"), HINGE.format("j", "a", "b", -1), HINGE.format("k", "b", "c", -1))
+    file = tmp_path / "mine.yaml"
+    file.write_text("urdf: arm.urdf\ntip_link: b\nhome: [0.5]\ngripper: {joints: [k], open: [0.3], closed: [-0.1]}\n")
+    arm = Arm.load(file)
+    assert arm.joint_names == ("j",) and arm.tip_link == "b" and arm.home == 0.5
+    assert arm.gripper.joints == ("k",) and arm.fingers == {"k": 0.3} and arm.gripper.closed == -0.1
+
+
+@pytest.mark.parametrize(
+    "text, message",
+    [
+        ("urdf: arm.urdf\ntip: b\n", "unknown tip; its keys are urdf, tip_link"),
+        ("tip_link: b\n", "no urdf"),
+        ("[", "not YAML"),
+        ("urdf\n", "must hold an arm's settings"),
+        ("urdf: arm.urdf\ntip_link: hand\n", "no link 'hand'; its links are a, b, c"),
+        ("urdf: arm.urdf\nlower: [.nan, 0]\n", "lower must be 2 numbers"),
+        ("urdf: arm.urdf\ntip_link: b\ngripper: {joints: [x], open: [0], closed: [0]}\n", "gripper's joint x is none of k"),
+        ("urdf: arm.urdf\ntip_link: b\ngripper: {joints: [k], open: [0]}\n", "has joints, open and closed"),
+        ("urdf: arm.urdf\ntip_link: b\ngripper: {joints: [k], open: [], closed: [0]}\n", "gripper's open must be 1 numbers"),
+    ],
+)
+def test_a_bad_file_of_an_arm_is_refused_with_its_fault(tmp_path, text, message):
+    write_urdf(tmp_path, *map(LINK.format, "abc"), HINGE.format("j", "a", "b", -1), HINGE.format("k", "b", "c", -1))
+    (tmp_path / "mine.yaml").write_text(text)
+    with pytest.raises(ValueError, match=message):
+        Arm.load(tmp_path / "mine.yaml")
+    with pytest.raises(FileNotFoundError, match="no arm file"):
+        Arm.load(tmp_path / "yours.yaml")
+
+
+def test_an_unreadable_mesh_is_said_before_anything_is_planned(tmp_path):
+    (tmp_path / "link.stl").write_bytes(b"solid nonsense")
+    mesh = '<link name="a"><collision><geometry><mesh filename="link.stl"/></geometry></collision></link>'
+    path = write_urdf(tmp_path, mesh, LINK.format("b"), HINGE.format("j", "a", "b", -1))
+    with pytest.raises(ValueError, match="mesh"):
+        CollisionModel(Arm.load(path))

@@ -60,7 +60,7 @@ def assert_clearance(model, q, truth):
 SPHERE = '<sphere radius="0.05"/>'
 
 
-def positions(count=2000, seed=0):
+def positions(count=2500, seed=0):
     return np.random.default_rng(seed).uniform(-0.45, 0.45, (count, 3))
 
 
@@ -179,7 +179,7 @@ def test_the_fast_bound_never_hides_a_nearer_pair(world):
     q = arm.random(40, seed=2)
     exact = []
     for poses in arm.link_poses(q):
-        placed = set()
+        placed = {}
         exact.append(min(model._distance(a, b, poses, placed) for a, b in model._pairs))
     np.testing.assert_allclose(model.clearance(q), np.minimum(exact, CAP), atol=1e-6)
 
@@ -240,3 +240,58 @@ def test_a_path_with_room_is_certified(world):
     add(world, "wall", [0.9, 0, 0.5], shapeType=pybullet.GEOM_BOX, halfExtents=[0.02, 1, 1])
     path = arm.home + np.linspace(0, 1, 20)[:, None] * np.array([0.5, 0, 0, 0, 0, 0, 0])
     assert CollisionModel(arm, world).sweep(path, required=0.01).clearance.min() >= 0.01
+
+
+def test_a_region_may_bind_one_link_alone():
+    arm = Arm.load("panda")
+    elbow = arm.link_poses(arm.home)[0, arm.link_names.index("panda_link4"), :3, 3]
+    region = box_region("elbow's", elbow, [0.1, 0.1, 0.1])
+    assert CollisionModel(arm, regions=[region]).nearest(arm.home)[0] < 0
+    assert CollisionModel(arm, regions=[region], only={"elbow's": ["panda_link4"]}).nearest(arm.home)[1][0] == "panda_link4"
+    hand_only = CollisionModel(arm, regions=[region], only={"elbow's": ["panda_hand"]})
+    assert hand_only.measure(arm.home)[0][0, 0] > 0.1
+    assert {hand_only.names[a] for a, b in hand_only._pairs if hand_only.names[b] == "elbow's"} == {"panda_hand"}
+
+
+def test_a_region_or_link_that_is_not_there_is_said():
+    arm, region = Arm.load("panda"), box_region("here", np.ones(3), [0.1, 0.1, 0.1])
+    with pytest.raises(ValueError, match="names 'elbow'; there are here, panda_link0"):
+        CollisionModel(arm, regions=[region], only={"here": ["elbow"]})
+    with pytest.raises(ValueError, match="names 'there'"):
+        CollisionModel(arm, regions=[region], only={"there": ["panda_hand"]})
+    with pytest.raises(ValueError, match="'cup' cannot be held; there are no bodies"):
+        CollisionModel(arm, held={"cup": arm.home})
+
+
+def test_a_held_thing_goes_with_the_hand_and_counts_as_part_of_it(world):
+    arm = Arm.load("panda")
+    tip = arm.fk(arm.home)[:3, 3]
+    add(world, "stick", tip - [0, 0, 0.10], shapeType=pybullet.GEOM_CYLINDER, radius=0.01, height=0.25)
+    add(world, "wall", tip + [0, 0.3, -0.2], shapeType=pybullet.GEOM_BOX, halfExtents=[0.3, 0.01, 0.05])
+    add(world, "floor", tip - [0, 0, 0.2255], shapeType=pybullet.GEOM_BOX, halfExtents=[0.05, 0.05, 0.0005])
+    turned = arm.home + [0.6, 0, 0, 0, 0, 0, 0]
+    alone = CollisionModel(arm, world, ignored=[("panda_leftfinger", "stick"), ("panda_rightfinger", "stick"), ("panda_hand", "stick")])
+    model = CollisionModel(arm, world, held={"stick": arm.home}, margin=0.01)
+    assert model.clearance(arm.home) > 0.01  # as near to the floor as where it was grasped, which is allowed
+    sweep = model.sweep(np.stack([arm.home, arm.home + [1.4, 0, 0, 0, 0, 0, 0]]))
+    assert sweep.clearance[0] < 0 and sweep.pairs[0] == ("stick", "wall")
+    assert alone.sweep(np.stack([arm.home, arm.home + [1.4, 0, 0, 0, 0, 0, 0]])).clearance[0] > 0
+    down = arm.fk(arm.home) - np.array([[0, 0, 0, 0]] * 2 + [[0, 0, 0, 0.005], [0, 0, 0, 0]])
+    q = arm.ik(down, start=arm.home)
+    clearance, names = model.nearest(q)
+    assert names == ("stick", "floor") and clearance == pytest.approx(0.006, abs=1e-3)
+    gap = model.distances(turned[None], [next(k for k, (a, b) in enumerate(model._pairs) if (model.names[a], model.names[b]) == ("stick", "wall"))])
+    moved = np.linalg.inv(arm.fk(arm.home))[:3] @ np.append(tip - [0, 0, 0.1], 1)
+    at = (arm.fk(turned) @ np.append(moved, 1))[:3]
+    assert gap[0] == pytest.approx(tip[1] + 0.29 - at[1] - 0.01, abs=2e-3)
+
+
+def test_all_near_pairs_are_given_with_their_clearance(world):
+    arm = Arm.load("panda")
+    add(world, "post", [0.45, 0.2, 0.3], shapeType=pybullet.GEOM_BOX, halfExtents=[0.02, 0.02, 0.3])
+    model, q = CollisionModel(arm, world), arm.random(30, seed=5)
+    rows, pairs, clearance = model.close(q, 0.2)
+    for n in range(len(q)):
+        smallest = clearance[rows == n].min(initial=0.2)
+        assert smallest == pytest.approx(min(model.clearance(q[n]), 0.2), abs=1e-9)
+    assert (clearance < 0.2).all() and model.of_world(pairs).any()

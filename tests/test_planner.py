@@ -303,3 +303,31 @@ def test_planning_takes_another_way_where_the_usual_one_is_blocked(arm, free):
 def test_the_way_that_is_taken_is_kept_with_the_plan(planned, tmp_path):
     replace(planned, way=1).save(tmp_path / "plan.npz")
     assert Plan.load(tmp_path / "plan.npz").way == 1
+
+
+def test_the_first_point_is_exactly_the_present_state(planned, arm):
+    np.testing.assert_array_equal(planned.joints[0], arm.home)
+
+
+def test_a_box_keeps_out_one_link_alone_and_must_name_one_that_is_there(arm):
+    goal = np.array([0.5, 0.2, 0.4])
+    box = {"name": "box", "lower": (goal - 0.06).tolist(), "upper": (goal + 0.06).tolist()}
+    elbows, hands = (
+        plan(skill_to(arm, goal, spread=0.003), arm, None, samples=2, keep_out=[box | {"links": [link]}], moved=0)
+        for link in ("panda_link4", "panda_hand")
+    )
+    assert elbows.feasible and not hands.feasible and "panda_hand" in hands.refusals[0]
+    for wrong, message in (({"links": ["elbow"]}, "names 'elbow'"), ({"upper": [0, 0, 0]}, "lower below upper"), ({"link": "x"}, "has a name")):
+        with pytest.raises(ValueError, match=message):
+            plan(skill_to(arm, goal), arm, None, samples=2, keep_out=[box | wrong])
+
+
+def test_what_is_not_there_cannot_be_held(arm, free):
+    with pytest.raises(ValueError, match="'cup' cannot be held"):
+        plan(skill_to(arm, GOAL), arm, free, samples=2, held=["cup"])
+
+
+def test_a_distribution_that_never_varies_is_planned_as_its_mean(arm):
+    taught = skill_to(arm, np.array([0.5, 0.2, 0.4]))
+    still = TrajectoryDistribution(taught.distribution.basis, taught.distribution.mean, np.zeros((30, 30)))
+    assert plan(Skill(still, 4.0), arm, None, samples=2).feasible
