@@ -11,7 +11,7 @@ from robot.arm import Arm
 from robot.execution import Execution, film_camera, goal_point, judge, perform, save_video
 from robot.planner import plan
 from robot.world import World
-from robot.worldfile import pre_grasp
+from robot.variation import pre_grasp
 from teach.basis import SquaredExponential
 from teach.scripted import smooth_path
 from teach.trajectory import Skill, TrajectoryDistribution
