@@ -100,10 +100,19 @@ class World:
         return self.client.getJointState(self.bodies[joint["child"]], 0)[0] - joint["lower"]
 
     @property
+    def movable(self) -> list[str]:
+        """The names of what has a mass, as far as it is in the world."""
+        return [name for name in self.bodies if self.thing(name).get("mass")]
+
+    @property
+    def touchable(self) -> set[str]:
+        """The names of what the task is to touch, the held thing among them."""
+        return {*self.spec.get("touch", []), *([self.spec["held"]["name"]] if self.spec.get("held") else [])}
+
+    @property
     def obstacles(self) -> "Obstacles":
-        """What a motion must keep clear of: all bodies but those that the task is to touch and what is held."""
-        left_out = {*self.spec.get("touch", []), (self.spec.get("held") or {}).get("name")}
-        return Obstacles(self.client, {name: body for name, body in self.bodies.items() if name not in left_out}, self.spec)
+        """What a motion must keep clear of: all but what it is to touch."""
+        return Obstacles(self.client, {name: body for name, body in self.bodies.items() if name not in self.touchable}, self.spec)
 
     # Building
 

@@ -6,10 +6,10 @@ import av
 import numpy as np
 import pytest
 
-from robot import execution
 from robot.arm import Arm
 from robot.execution import Execution, film_camera, goal_point, judge, perform, save_video
 from robot.planner import plan
+from robot.simulated import Robot, closed_fingers
 from robot.world import World
 from robot.variation import pre_grasp
 from teach.basis import SquaredExponential
@@ -113,7 +113,7 @@ def test_the_same_motion_without_the_post_touches_nothing_and_ends_where_planned
 
 def test_motors_are_bound_by_their_effort_and_hold_the_arm_against_gravity(arm, tiny, monkeypatch):
     """An arm whose motors are too weak sinks: the simulated arm is driven, not placed."""
-    robot = execution._Robot(arm, tiny.client, arm.home)
+    robot = Robot(arm, tiny.client, arm.home)
     for _ in range(240):
         robot.step(arm.home, arm.home)
     torque = [abs(state[3]) for state in tiny.client.getJointStates(robot.body, robot.joints)]
@@ -131,15 +131,16 @@ def test_the_goal_is_read_from_where_the_object_stands_now(tiny):
     position, quat_xyzw = tiny.client.getBasePositionAndOrientation(body)
     tiny.client.resetBasePositionAndOrientation(body, np.add(position, [0, 0.1, 0]), quat_xyzw)
     np.testing.assert_allclose(goal_point(tiny) - before, [0, 0.1, 0], atol=1e-9)
-    assert judge(tiny, before, 0)["final_error"] == pytest.approx(0.1)
+    assert judge(tiny, before)[1][0].value == pytest.approx(0.1)
 
 
 @pytest.mark.parametrize(
-    ("off", "contacts", "success"), [(0.0, 0, True), (0.049, 0, True), (0.051, 0, False), (0.0, 1, False)]
+    ("off", "touched", "success"), [(0.0, (), True), (0.049, (), True), (0.051, (), False), (0.0, ("bench",), False)]
 )
-def test_the_judge_follows_the_worlds_conditions(tiny, off, contacts, success):
-    verdict = judge(tiny, goal_point(tiny) + [0, 0, off], contacts)
-    assert verdict["success"] is success and verdict["final_error"] == pytest.approx(off)
+def test_the_judge_follows_the_worlds_conditions(tiny, off, touched, success):
+    _, verdicts = judge(tiny, goal_point(tiny) + [0, 0, off], touched)
+    assert all(v.met for v in verdicts) is success and verdicts[0].value == pytest.approx(off)
+    assert [v.name for v in verdicts] == ["hand_m", "contacts"]
 
 
 def test_plans_that_were_refused_or_are_of_another_arm_are_not_performed(arm, tiny):
