@@ -112,7 +112,8 @@ class World:
     @property
     def obstacles(self) -> "Obstacles":
         """What a motion must keep clear of: all but what it is to touch."""
-        return Obstacles(self.client, {name: body for name, body in self.bodies.items() if name not in self.touchable}, self.spec)
+        to_touch = self.spec.get("touch", [])
+        return Obstacles(self.client, {name: body for name, body in self.bodies.items() if name not in to_touch}, self.spec)
 
     # Building
 
@@ -191,18 +192,19 @@ class World:
 
     # What a hand holds
 
-    def put_in_hand(self, robot: int, link: int) -> None:
-        """What the file says is held comes into the world at the robot's link, fixed to it."""
-        held = self.spec.get("held")
-        if not held:
-            return
-        state = self.client.getLinkState(robot, link, computeForwardKinematics=True)
+    def bring_held(self, base_from_tip) -> None:
+        """What the file says is held comes into the world, where a hand at ``base_from_tip`` (4, 4) has it."""
         with tempfile.TemporaryDirectory() as folder:
-            self._add(held, _matrix(*state[4:6]) @ things.pose(held), Path(folder))
-        link_from_com = np.linalg.inv(_matrix(*state[:2])) @ _matrix(*state[4:6]) @ things.pose(held)
-        quat_xyzw = Rotation.from_matrix(link_from_com[:3, :3]).as_quat().tolist()
-        self._grip = self.client.createConstraint(robot, link, self.bodies[held["name"]], -1, pybullet.JOINT_FIXED, [0, 0, 0],
-                                                  link_from_com[:3, 3].tolist(), [0, 0, 0], quat_xyzw)  # fmt: skip
+            self._add(self.spec["held"], base_from_tip @ things.pose(self.spec["held"]), Path(folder))
+
+    def put_in_hand(self, robot: int, link: int) -> None:
+        """It comes into the world at the robot's link, fixed to that."""
+        com, frame = (_matrix(*self.client.getLinkState(robot, link, computeForwardKinematics=True)[k : k + 2]) for k in (0, 4))
+        self.bring_held(frame)
+        com_from_held = np.linalg.inv(com) @ frame @ things.pose(self.spec["held"])
+        quat_xyzw = Rotation.from_matrix(com_from_held[:3, :3]).as_quat().tolist()
+        self._grip = self.client.createConstraint(robot, link, self.bodies[self.spec["held"]["name"]], -1, pybullet.JOINT_FIXED, [0, 0, 0],
+                                                  com_from_held[:3, 3].tolist(), [0, 0, 0], quat_xyzw)  # fmt: skip
 
     def let_go(self) -> None:
         """What is held is free to fall."""
