@@ -24,6 +24,7 @@ from scene.camera import Camera, look_at
 from scene.files import replacing
 
 AT_REST, PATIENCE = 0.01, 3.0  # m/s; s after the motion that are waited for things to be slower
+STRIP = 6  # pictures of a filmstrip
 NO_FILM = np.zeros((0, 0, 0, 3), np.uint8)
 WORDS = ("names", "touched", "touched_by", "conditions", "said")
 NUMBERS = ("duration", "final_error", "success", "fps", "fastest")
@@ -63,6 +64,11 @@ class Execution:
     success: bool
     fps: float
     frames: np.ndarray
+
+    @property
+    def strip(self) -> np.ndarray:
+        """(STRIP,) which frames a filmstrip shows, evenly over the film; frame k is of time k / fps."""
+        return np.linspace(0, int(self.times[-1] * self.fps + 1e-9), STRIP).astype(int)
 
     @property
     def metrics(self) -> dict:
