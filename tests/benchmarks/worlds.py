@@ -52,14 +52,15 @@ def sketched(spec: dict, seed: int) -> Skill:
 def tried(name: str, seed: int, arm: Arm, skill_of, **settings) -> tuple[object, object]:
     """(Plan, Execution or None where there is no feasible plan)."""
     with World.load(name, seed=seed, textured=False) as world:
+        world.spec["motion"]["via"][0] = arm.fk(arm.home)[:3, 3].tolist()  # whichever arm it is, its hand begins
         skill = skill_of(world.spec)
         chosen = plan(skill, arm, world.obstacles, seed=seed, **settings)
         return chosen, perform(chosen, arm, world, events=planned_events(skill, chosen), fps=0) if chosen.feasible else None
 
 
-def row(name: str, seeds: int, arm: Arm, kind: str) -> str:
+def row(name: str, seeds: range, arm: Arm, kind: str) -> str:
     feasible, planned, done, hand = [], [], [], []
-    for seed in range(seeds):
+    for seed in seeds:
         started = time.process_time()
         chosen, performed = tried(name, seed, arm, intended, samples=1)
         feasible.append(chosen.feasible)
@@ -73,7 +74,7 @@ def row(name: str, seeds: int, arm: Arm, kind: str) -> str:
         said = performed.sentence if performed is not None else chosen.sentence
         print(f"  {name} {seed} ({time.process_time() - started:.0f} s): {said}", flush=True)
     numbers = f"{np.median(hand):.0f} / {max(hand):.0f}" if hand else "-"
-    return f"| {name} | {sum(feasible)} of {seeds} | {sum(planned)} of {len(planned)} | {sum(done)} of {len(done)} | {numbers} |"
+    return f"| {name} | {sum(feasible)} of {len(feasible)} | {sum(planned)} of {len(planned)} | {sum(done)} of {len(done)} | {numbers} |"
 
 
 def main() -> None:
@@ -81,10 +82,11 @@ def main() -> None:
     parser.add_argument("kind", choices=("intended", "sketched"))
     parser.add_argument("worlds", nargs="+")
     parser.add_argument("--seeds", type=int, default=20)
+    parser.add_argument("--first", type=int, default=0, help="the first of them")
     parser.add_argument("--arm", default="panda")
     options = parser.parse_args()
     arm = Arm.load(options.arm)
-    rows = [row(name, options.seeds, arm, options.kind) for name in options.worlds]
+    rows = [row(name, range(options.first, options.first + options.seeds), arm, options.kind) for name in options.worlds]
     print("| world | feasible | planned | done | hand, mm: median / most |\n|---|---|---|---|---|", *rows, sep="\n")
 
 
