@@ -60,6 +60,26 @@ def test_the_table_stands_as_motionbenchmaker_published_it():
         assert legs == {(x, y, -0.15) for x in (0.70, 1.60) for y in (0.95, -0.75)}
 
 
+def test_box_and_shelves_stand_as_motionbenchmaker_published_them():
+    published = {
+        "box": {"base": ([0.7, 0.7, 0.04], [0.65, 0, -0.58]), "side1": ([0.7, 0.04, 0.7], [0.65, -0.35, -0.22]), "side2": ([0.7, 0.04, 0.7], [0.65, 0.35, -0.22]),
+                "front": ([0.04, 0.7, 0.6], [0.30, 0, -0.32]), "back": ([0.04, 0.7, 0.7], [1.00, 0, -0.22]), "lid": ([0.7, 0.7, 0.04], [0.75, 0, 0.33]),
+                "Can1": ([0.14, 0.03], [0.65, 0, -0.47])},
+        "shelf": {"side1": ([1.3, 0.04, 1.64], [1.3, -0.5, 0.12]), "side2": ([1.3, 0.04, 1.64], [1.3, 0.5, 0.12])}
+        | {f"board{k + 1}": ([1.2, 1.0, 0.04], [1.3, 0, z]) for k, z in enumerate((0, 0.3, 0.6, 0.9))}
+        | {f"Can{3 * k + j + 1}": ([0.14, 0.03], [x, 0, z]) for k, z in enumerate((0.08, 0.38, 0.68)) for j, x in enumerate((0.8, 1.0, 1.2))},
+        "shelf_small": {f"board{k + 1}": ([1.2, 1.0, 0.04], [1.2, 0, z]) for k, z in enumerate((0.3, 0.6))}
+        | {f"side{k + 1}": ([1.2, 0.04, 0.34], [1.2, y, 0.45]) for k, y in enumerate((-0.5, 0.5))}
+        | {f"Can{k + 1}": ([0.14, 0.03], [x, 0, 0.38]) for k, x in enumerate((0.7, 0.9, 1.1))},
+    }  # fmt: skip
+    for name, things_of in published.items():
+        found = {one["name"]: one for one in worldfile.read(name)["objects"]}
+        for thing, (lengths, place) in things_of.items():
+            assert (found[thing].get("size") or [found[thing]["height"], found[thing]["radius"]]) == lengths, thing
+            assert found[thing]["position"] == place, thing
+        assert sum(one["name"].startswith("Can") for one in found.values()) == sum(thing.startswith("Can") for thing in things_of)
+
+
 @pytest.mark.parametrize("name", worldfile.names())
 def test_the_intended_motion_leads_from_the_arms_start_to_the_pre_grasp_point(name):
     from robot.arm import Arm
@@ -156,17 +176,21 @@ def test_surfaces_look_the_same_from_all_sides(table):
     np.testing.assert_allclose(*means, atol=6)
 
 
-def test_the_sketch_views_see_the_whole_intended_motion_and_its_end(table):
+@pytest.mark.parametrize("name", worldfile.names())
+def test_the_sketch_views_see_the_whole_intended_motion(name):
+    """In pictures that are wide enough for a hand's faults, and not behind anything."""
     from teach.scripted import smooth_path
 
-    path = smooth_path(table.spec["motion"]["via"], 40)
-    for view in table.spec["sketch_views"]:
-        camera = Camera.from_fov(look_at(view["eye"], view["target"]), 320, 240, view["fov_deg"])
-        pixels = camera.project(path)
-        assert camera.contains(pixels).all()
-        _, depth = table.photograph_with_depth(camera)
-        behind = depth[tuple(np.floor(pixels).astype(int).T[::-1])]
-        assert (np.isnan(behind) | (behind > camera.depth(path) - 0.01)).all()
+    with World.load(name, textured=False) as world:
+        path = smooth_path(world.spec["motion"]["via"], 60)
+        for view in world.spec["sketch_views"]:
+            camera = Camera.from_fov(look_at(view["eye"], view["target"]), 640, 480, view["fov_deg"])
+            pixels = camera.project(path)
+            assert ((pixels > 25) & (pixels < [615, 455])).all()
+            to = path + 0.01 * (camera.centre - path) / np.linalg.norm(camera.centre - path, axis=1, keepdims=True)
+            between = world.client.rayTestBatch([camera.centre.tolist()] * len(path), to.tolist())
+            to_touch = {world.bodies[name] for name in world.spec.get("touch", [])}
+            assert np.mean([hit[0] >= 0 and hit[0] not in to_touch for hit in between]) < 0.1, view
 
 
 def test_photographs_are_seeded_even_and_outside_of_everything(table):
@@ -182,6 +206,18 @@ def test_photographs_are_seeded_even_and_outside_of_everything(table):
     for thing in table.spec["objects"]:
         low, high = table.client.getAABB(table.bodies[thing["name"]])
         assert not any(((c.centre > np.subtract(low, 0.05)) & (c.centre < np.add(high, 0.05))).all() for c in cameras)
+
+
+def test_a_world_says_from_where_it_is_photographed_unless_it_is_asked_for():
+    view = {"target": [0.3, 0, 0.5], "azimuth_deg": [90, 270], "elevation_deg": [10, 20], "radius": [1, 2]}
+    for asked, azimuths, elevations in (({}, (90, 270), (10, 20)), ({"azimuth_deg": [0, 30], "elevation_deg": [40, 50]}, (0, 30), (40, 50))):
+        offsets = np.array([camera.centre for camera in hemisphere(view, jitter=0, **asked)]) - view["target"]
+        azimuth = np.degrees(np.arctan2(offsets[:, 1], offsets[:, 0])) % 360
+        elevation = np.degrees(np.arcsin(offsets[:, 2] / np.linalg.norm(offsets, axis=1)))
+        for angle, (low, high) in ((azimuth, azimuths), (elevation, elevations)):
+            assert low - 1e-6 < angle.min() < low + 3 and high - 9 < angle.max() < high + 1e-6
+    turned = varied(PLAIN | {"view": view, "seed": 1, "variation": {"yaw_deg": 20}})["view"]["azimuth_deg"]
+    assert np.ptp(turned) == pytest.approx(180) and turned[0] != 90
 
 
 def test_seed_zero_is_as_published_and_another_seed_moves_the_goal_with_its_motion():
