@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from robot import skins, standing, worldfile
+from robot import bodies, skins, standing, worldfile
 from robot import thing as things
 from robot.bullet import BulletClient, connect, pybullet
 from robot.variation import varied
@@ -132,46 +132,17 @@ class World:
         skin, picture = self._skin(thing, folder) if self._textured else (None, None)
         at = np.zeros(3) if joint is None or "at" not in joint else pose[:3, :3].T @ (pose[:3, 3] - joint["at"])
         visual = -1 if skin is None else self.client.createVisualShape(pybullet.GEOM_MESH, visualFramePosition=at.tolist(), **skin)
-        collision, mass, name = self._collision_shape(thing, at), thing.get("mass", 0), thing["name"]
+        collision, mass, name = bodies.collision_shape(self.client, thing, at), thing.get("mass", 0), thing["name"]
         position, quat_xyzw = (pose[:3, 3] - pose[:3, :3] @ at).tolist(), Rotation.from_matrix(pose[:3, :3]).as_quat().tolist()
         link = -1 if joint is None else 0
         if joint is None:
             body = self.client.createMultiBody(mass, collision, visual, position, quat_xyzw)
         else:
-            body = self._on_rail(joint, mass, collision, visual, position, quat_xyzw, at)
+            body = bodies.on_rail(self.client, joint, mass, (collision, visual), position, quat_xyzw, at)
         self.client.changeDynamics(body, link, lateralFriction=thing.get("friction", FRICTION))
         if picture:
             self.client.changeVisualShape(body, link, textureUniqueId=self.client.loadTexture(picture))
         self.bodies[name], self._links[name] = body, link
-
-    def _on_rail(self, joint, mass, collision, visual, position, quat_xyzw, at) -> int:
-        axis = np.array(joint["axis"], dtype=float) / np.linalg.norm(joint["axis"])
-        kind = {"prismatic": pybullet.JOINT_PRISMATIC, "revolute": pybullet.JOINT_REVOLUTE}[joint["type"]]
-        body = self.client.createMultiBody(
-            0, -1, -1, position, quat_xyzw, linkMasses=[mass], linkCollisionShapeIndices=[collision],
-            linkVisualShapeIndices=[visual], linkPositions=[[0, 0, 0]], linkOrientations=[[0, 0, 0, 1]],
-            linkInertialFramePositions=[at.tolist()], linkInertialFrameOrientations=[[0, 0, 0, 1]], linkParentIndices=[0],
-            linkJointTypes=[kind], linkJointAxis=[Rotation.from_quat(quat_xyzw).inv().apply(axis).tolist()],
-        )  # fmt: skip
-        self.client.changeDynamics(body, 0, jointLowerLimit=joint["lower"], jointUpperLimit=joint["upper"])
-        self.client.setJointMotorControl2(body, 0, pybullet.VELOCITY_CONTROL, force=joint.get("friction", 0))
-        return body
-
-    def _collision_shape(self, thing: dict, at) -> int:
-        """Its primitives, the thing's middle at ``at`` (3,) in the frame that moves."""
-        if thing["shape"] == "mesh":
-            return self.client.createCollisionShape(pybullet.GEOM_MESH, fileName=str(thing["file"]), collisionFramePosition=list(at))
-        shapes = things.primitives(thing)
-        boxes = [kind == "box" for kind, _, _ in shapes]
-        columns = {
-            "shapeTypes": [pybullet.GEOM_BOX if is_box else pybullet.GEOM_CYLINDER for is_box in boxes],
-            "halfExtents": [(np.array(size) / 2).tolist() if is_box else [0, 0, 0] for is_box, (_, size, _) in zip(boxes, shapes)],
-            "radii": [0 if is_box else size[0] for is_box, (_, size, _) in zip(boxes, shapes)],
-            "lengths": [0 if is_box else size[1] for is_box, (_, size, _) in zip(boxes, shapes)],
-            "collisionFramePositions": [(at + pose[:3, 3]).tolist() for _, _, pose in shapes],
-            "collisionFrameOrientations": [Rotation.from_matrix(pose[:3, :3]).as_quat().tolist() for _, _, pose in shapes],
-        }
-        return self.client.createCollisionShapeArray(**columns)
 
     def _skin(self, thing: dict, folder: Path) -> tuple[dict, str | None]:
         """The visual shape's mesh and colour, and its picture."""
