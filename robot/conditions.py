@@ -57,7 +57,7 @@ def check(data: dict, bodies, joints, where: str) -> None:
     names = {"body": bodies, "container": bodies, "joint": joints}
     for kind, keys in KINDS.items():
         for condition in mappings(success, kind, f"{where}, success"):
-            _check_one(condition, kind, keys, names, f"{where}, success, {kind}")
+            _check_one(condition, keys, names, f"{where}, success, {kind}")
     containers = {t["name"] for t in data["objects"] if t["shape"] in ("crate", "cup")}
     for condition in success.get("inside", []):
         if condition["container"] not in containers:
@@ -68,11 +68,13 @@ def check(data: dict, bodies, joints, where: str) -> None:
             raise ValueError(f"{where}, touch: no object is called {name!r}{near(name, bodies)}")
 
 
-def _check_one(condition, kind, keys, names, where) -> None:
+def _check_one(condition, keys, names, where) -> None:
     known(condition, keys, where)
     for key in keys:
-        if key in names and condition.get(key) not in names[key]:
-            raise ValueError(f"{where}: no {'joint' if key == 'joint' else 'object'} is called {condition.get(key)!r}{near(condition.get(key), names[key])}")
+        named, there = condition.get(key), names.get(key)
+        if there is not None and named not in there:
+            kind = "joint" if key == "joint" else "object"
+            raise ValueError(f"{where}: no {kind} is called {named!r}{near(named, there)}")
         if key not in names:
             vector(condition, key, 3 if key == "position" else 1, where)
 

@@ -15,8 +15,8 @@ import time
 import numpy as np
 
 from robot.arm import Arm
-from robot.execution import perform
 from robot.events import planned_events
+from robot.execution import perform
 from robot.planner import plan
 from robot.world import World
 from scene.camera import Camera, look_at
