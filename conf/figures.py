@@ -173,6 +173,14 @@ def checks(plan, execution=None) -> Figure:
     return figure
 
 
+def filmstrip(frames, times) -> Figure:
+    """Pictures (F, H, W, 3) of a performance, each with its time [s]."""
+    figure, axes = _row(len(frames))
+    for axis, frame, time in zip(axes, frames, times):
+        _picture(axis, frame, f"{time:.1f} s")
+    return figure
+
+
 def _row(count: int):
     figure = Figure(figsize=(11, 11 / count * 0.75 + 0.35), layout="constrained")
     return figure, figure.subplots(1, count, squeeze=False)[0]

@@ -140,7 +140,7 @@ def render(job: Job, out: Path) -> dict:
 
     field = Field.load(job.capture / "field.pt")
     photographed = [view.camera for view in load_views(job.capture)]
-    eyes = None if job.cfg.photos else job.settings("world.sketch_views")
+    eyes = None if job.cfg.photos else _varied_world(job)["sketch_views"]
     known = {"sketch": sketch_files.load(before)} if (before := _drawn_before(job)) else {}
     chosen = _setting(job, "scene.views")(photographed, eyes, field=field, workspace=workspace(job), **known)
     for sentence in chosen.why:
@@ -151,6 +151,26 @@ def render(job: Job, out: Path) -> dict:
     if frames:
         save_video(out / "views" / "orbit.mp4", [frame.image for frame in frames], fps=8)
     return {"views": len(views), "orbit": len(frames)}
+
+
+def true_views(job: Job, out: Path) -> dict:
+    """The simulated world itself at its sketch views, cameras and depth as they are: nothing photographed, nothing learned."""
+    import numpy as np
+
+    from robot.world import World
+    from scene.camera import View
+    from scene.dataset import save_image, save_views
+    from scene.views import depth_path
+
+    views = []
+    with World.from_spec(job.settings("world")) as world:
+        for name, camera in _setting(job, "scene.views")([], world.spec["sketch_views"], orbit=0).sketch.items():
+            image, depth = world.photograph_with_depth(camera)
+            save_image(out / "views" / f"{name}.png", image)
+            np.save(depth_path(out / "views", name), depth.astype(np.float32))
+            views.append(View(name, camera, image))
+    save_views(out / "views", views, images=".", frame={"name": "robot base", "unit": "metre"})
+    return {"views": len(views)}
 
 
 def sketch(job: Job, out: Path) -> dict:
@@ -219,7 +239,7 @@ def plan(job: Job, out: Path) -> dict:
     skill = Skill.load(job.run / "skill.npz")
     arm = _setting(job, "robot.arm")
     with World.from_spec(_obstacles(job, skill, arm)) as world:
-        chosen = _setting(job, "robot.planner")(skill, arm, world, start=arm.home, seed=job.cfg.seed)
+        chosen = _setting(job, "robot.planner")(skill, arm, world.obstacles, start=arm.home, seed=job.cfg.seed)
     chosen.save(out / "plan.npz")
     write_json(out / "joint_trajectory.json", chosen.joint_trajectory())
     save_mcap(chosen, out / "plan.mcap")
@@ -257,13 +277,15 @@ def _obstacles(job: Job, skill, arm) -> dict:
 
 
 def execute(job: Job, out: Path) -> dict:
-    """PyBullet performs the plan under motor control; the world's own conditions judge it."""
+    """PyBullet performs the plan under motor control, the skill's events on the way; the world's own conditions judge it."""
     import numpy as np
 
+    from robot.events import planned_events
     from robot.execution import save_video
     from robot.planner import Plan
     from robot.world import World
     from scene.dataset import save_image
+    from teach.trajectory import Skill
 
     chosen = Plan.load(job.run / "plan.npz")
     if not chosen.feasible:
@@ -272,16 +294,17 @@ def execute(job: Job, out: Path) -> dict:
         raise ValueError("there is no simulated world of your own photographs to perform in: plan.npz and joint_trajectory.json are the motion")
     spec = job.settings("world")
     with World.from_spec(spec) as world:
-        performed = _setting(job, "robot.execution")(chosen, _setting(job, "robot.arm"), world)
+        events = planned_events(Skill.load(job.run / "skill.npz"), chosen)
+        performed = _setting(job, "robot.execution")(chosen, _setting(job, "robot.arm"), world, events=events)
     performed.save(out / "execution.npz")
     save_video(out / "execution.mp4", performed.frames, performed.fps)
-    shown = performed.frames[np.linspace(0, len(performed.frames) - 1, 5).astype(int)]
-    save_image(out / "filmstrip.png", np.concatenate(shown, axis=1))
+    save_image(out / "filmstrip.png", np.concatenate(performed.frames[performed.strip], axis=1))
     log.info("  %s", performed.sentence)
     return performed.metrics
 
 
 SCENE = ("scene.seed",)
+VIEWED = ("world.sketch_views", "world.seed", "world.variation", "world.view")
 STAGES = (
     Stage("capture", capture, ("photos", "tags.json", "truth.json"), settings=("world", "robot.photographs", *SCENE), shared=True),
     Stage("reconstruct", reconstruct, ("images", "colmap", "sparse.ply", "transforms.json"),
@@ -289,24 +312,28 @@ STAGES = (
     Stage("train", train, ("field.pt", "held_out"), ("reconstruct",), ("scene.fit", *SCENE), shared=True, resumable=True),
     Stage("surface", surface, ("mesh.ply", "mesh.png", "collision", "space.npz"), ("train",), ("scene.surface", *SCENE),
           shared=True, resumable=True),
-    Stage("render", render, ("views",), ("train",), ("scene.views", "world.sketch_views", "world.workspace"),
+    Stage("render", render, ("views",), ("train",), ("scene.views", "world.workspace", *VIEWED),
           inputs=lambda job: hashlib.sha256(file.read_bytes()).hexdigest() if (file := _drawn_before(job)) else None,
           shared=True, resumable=True),
-    Stage("sketch", sketch, ("sketches.json", "held_out.json", "intended.npz"), ("render",), ("user", "world", "seed")),
+    Stage("sketch", sketch, ("sketches.json", "held_out.json", "intended.npz"), ("render",), ("user", "world", "robot.arm", "seed")),
     Stage("fit", fit, ("skill.npz", "densities.npz"), ("sketch",), ("teach", "seed")),
     Stage("plan", plan, ("plan.npz", "trajectory.csv", "joint_trajectory.json", "plan.mcap"), ("fit",),
           ("robot.arm", "robot.planner", "robot.obstacles", "world", "seed"), inputs=lambda job: _pieces(job)),
     Stage("execute", execute, ("execution.npz", "execution.mp4", "filmstrip.png"), ("plan",), ("robot.arm", "robot.execution", "world")),
 )  # fmt: skip
 NAMES = tuple(stage.name for stage in STAGES)
+TRUTH = Stage("render", true_views, ("views",), settings=("world", "scene.views"), shared=True)
+"""Takes the place of all stages up to "render" where the scene is known from truth."""
 
 
+def _stages(job: Job) -> tuple[Stage, ...]:
+    return (TRUTH, *STAGES[NAMES.index("render") + 1 :]) if job.cfg.scene.truth else STAGES
 
 
 def whole_job(job: Job) -> None:
     """Do the wanted stages in order; metrics.json is written after each of them, the report at the end."""
     wanted, records = _wanted(job), {}
-    for stage in STAGES:
+    for stage in _stages(job):
         if stage.name not in wanted:
             _take_over(stage, job, records)
         elif stage.name == "execute" and "plan" in records and not records["plan"].metrics["feasible"] and len(wanted) > 1:
@@ -353,7 +380,9 @@ def _take_over(stage: Stage, job: Job, records: dict[str, Record]) -> None:
 
 
 def _wanted(job: Job) -> list[str]:
-    known = (*NAMES, "report")
+    known = (*(stage.name for stage in _stages(job)), "report")
+    if job.cfg.photos and job.cfg.scene.truth:
+        raise ValueError("scene.truth is of simulated worlds: nobody knows it of photographs")
     if job.cfg.stages is None:
         usual = ["reconstruct", "train", "render"] if job.cfg.photos else [name for name in known if name != "surface"]
         return usual + ["surface"] * bool(job.settings("robot.obstacles"))
@@ -377,6 +406,13 @@ def _setting(job: Job, key: str):
     from omegaconf import OmegaConf
 
     return instantiate(OmegaConf.select(job.cfg, key), _convert_="all")
+
+
+def _varied_world(job: Job) -> dict:
+    """The world's data as it is built, under its seed."""
+    from robot.variation import varied
+
+    return varied(job.settings("world"))
 
 
 def _photographs(job: Job) -> Path:

@@ -79,6 +79,8 @@ def _verdict(metrics: dict) -> tuple[bool, str]:
     if "execute" in metrics:
         done = metrics["execute"]
         end = f"the hand ended {done['final_error_mm']:.0f} mm from where it was to go, with {done['contacts']} contacts"
+        unmet = [name for name, condition in done["conditions"].items() if not condition["met"]]
+        end += f"; not met: {', '.join(unmet)}" if unmet else ""
         return done["success"], f"{'The robot performed the sketched motion' if done['success'] else 'The motion failed'}: {end}."
     if "plan" in metrics:
         return metrics["plan"]["feasible"], "A feasible motion was planned." if metrics["plan"]["feasible"] else "No feasible motion: nothing was performed."
@@ -158,12 +160,18 @@ def _learned(page: _Page, metrics: dict) -> list[str]:
     return parts + [
         page.picture("overview", figures.overview(sketched, pages[-1], _last_frame(page)),
                      "Sketched on two views, learned, performed."),
-        page.picture("trajectories", figures.trajectories_3d(mean, samples, *load_points(page.capture), _performed_path(page), edges),
+        page.picture("trajectories", figures.trajectories_3d(mean, samples, *_points(page), _performed_path(page), edges),
                      "Samples (red) and mean (coloured by time) in the scene." + (" Blue: regions to keep out of." if edges else "")),
         page.picture("overlay", figures.overlay(pages), "Samples and mean seen by each view; dotted: the strokes."),
         page.picture("over_time", figures.over_time(TIMES, conditioned.mean_at(TIMES), deviation, started),
                      "Position over normalised time, conditioned to start at the hand (square), with two standard deviations."),
     ]  # fmt: skip
+
+
+def _points(page: _Page) -> tuple[np.ndarray, np.ndarray]:
+    """The scene's sparse points; none where it is known from truth."""
+    known = (page.capture / "transforms.json").exists()
+    return load_points(page.capture) if known else (np.empty((0, 3)), np.empty((0, 3), np.uint8))
 
 
 def _quality(page: _Page, report: dict) -> list[str]:
@@ -211,7 +219,23 @@ def _performed(page: _Page, metrics: dict) -> list[str]:
     video = page.run / "execution.mp4"
     if "execute" not in metrics or not video.exists():
         return []
-    return ["<h2>The robot performs it</h2>", f"<p>{html.escape(_execution(page).sentence)}</p>", page.video(video, "Simulated in PyBullet under motor control.")]
+    performed = _execution(page)
+    strip = figures.filmstrip(_strip(page, len(performed.strip)), performed.strip / performed.fps)
+    return ["<h2>The robot performs it</h2>", f"<p>{html.escape(performed.sentence)}</p>", _conditions(performed),
+            page.video(video, "Simulated in PyBullet under motor control."),
+            page.picture("filmstrip", strip, "The same in six pictures.")]  # fmt: skip
+
+
+def _conditions(performed) -> str:
+    """The world's conditions, and what was measured."""
+    rows = "".join(f"<tr><td>{html.escape(name)}<td class=number>{value:.4g}<td class=number>{bound:.4g}<td>{'met' if met else 'not met'}<td>{html.escape(said)}"
+                   for name, value, bound, met, said in zip(performed.conditions, performed.measured, performed.bounds, performed.met, performed.said))  # fmt: skip
+    return f"<table><tr><th>condition<th>measured<th>bound<th><th>{rows}</table>"
+
+
+def _strip(page: _Page, count: int) -> list[np.ndarray]:
+    """The pictures of the filmstrip, each (H, W, 3)."""
+    return np.array_split(load_image(page.run / "filmstrip.png"), count, axis=1)
 
 
 def _execution(page: _Page):
@@ -228,8 +252,7 @@ def _performed_path(page: _Page):
 
 def _last_frame(page: _Page):
     """The end of the film (H, W, 3); None where nothing was performed."""
-    strip = page.run / "filmstrip.png"
-    return np.array_split(load_image(strip), 5, axis=1)[-1] if strip.exists() else None
+    return _strip(page, len(_execution(page).strip))[-1] if (page.run / "filmstrip.png").exists() else None
 
 
 def _start(page: _Page):
@@ -241,12 +264,14 @@ def _start(page: _Page):
 
 
 def _table(metrics: dict) -> str:
-    rows = []
-    for stage, values in metrics.items():
-        for key, value in (values.items() if isinstance(values, dict) else [("", values)]):
-            shown = f"{value:.4g}" if isinstance(value, float) else str(value)
-            rows.append(f"<tr><td>{stage}{'.' if key else ''}{key}<td class=number>{shown}")
+    rows = [f"<tr><td>{key}<td class=number>{f'{value:.4g}' if isinstance(value, float) else value}" for key, value in _flat(metrics)]
     return f"<details><summary>metrics.json</summary><table>{''.join(rows)}</table></details>"
+
+
+def _flat(metrics: dict, prefix="") -> list[tuple[str, object]]:
+    """(dotted key, value) of every number in nested groups."""
+    parts = [_flat(v, f"{prefix}{key}.") if isinstance(v, dict) else [(f"{prefix}{key}", v)] for key, v in metrics.items()]
+    return [pair for part in parts for pair in part]
 
 
 def _embed(path: Path, kind: str) -> str:

@@ -12,6 +12,7 @@ import numpy as np
 from hydra.utils import instantiate
 
 from conf.stages import Job
+from robot.variation import varied
 from scene.camera import Camera
 from scene.dataset import load_views
 from teach import scripted
@@ -33,10 +34,13 @@ def draw(job: Job, names: list[str]) -> tuple[list[Sketch], np.ndarray]:
     pages = _photographed(job, names) if job.cfg.user.draws_on == "photographs" else _rendered(job, names)
     hand = instantiate(job.cfg.user.hand)
     rng = np.random.default_rng(job.cfg.seed)
-    via = np.array(job.settings("world.motion.via"), dtype=float)
+    motion = varied(job.settings("world"))["motion"]
+    arm = instantiate(job.cfg.robot.arm)
+    via = np.array([arm.fk(arm.home)[:3, 3], *motion["via"][1:]], dtype=float)  # whichever arm it is, its hand begins
     sketches, paths = [], []
     for page in pages:
-        drawn, intended = scripted.sketch(page.name, page.true_camera, via, hand, rng, count=job.cfg.user.strokes, flow=page.flow)
+        drawn, intended = scripted.sketch(page.name, page.true_camera, via, hand, rng, count=job.cfg.user.strokes, flow=page.flow,
+                                          events=motion.get("events", ()))  # fmt: skip
         sketches.append(Sketch(page.name, page.camera, drawn.strokes))
         paths.append(intended)
     return sketches, np.stack(paths)

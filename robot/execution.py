@@ -1,13 +1,14 @@
 """perform: PyBullet follows a plan under motor control; what happened is recorded, filmed, and judged.
 
 Every simulated step of 1/240 s the motors of all joints get where the plan is now and how fast it moves until the next
-step (velocity feed-forward), within the efforts that the URDF allows; gravity acts. The judge reads the simulator's
-state and the world's own conditions, never the plan.
+step, within the efforts that the URDF allows; gravity acts, the gripper opens and closes at its events. After the
+motion the last posture is held until things have come to rest. The judge reads the simulator's state and the world's
+own conditions (conditions.py), never the plan.
 
     goal = p_object - distance * approach / |approach|      the point before the goal's object, where that stands now
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
 from fractions import Fraction
 from pathlib import Path
@@ -16,16 +17,17 @@ from zipfile import BadZipFile
 import av
 import numpy as np
 
-from robot.bullet import pybullet
+from robot import conditions
+from robot.simulated import STEP, Robot
 from robot.timing import motion_spline
 from scene.camera import Camera, look_at
 from scene.files import replacing
 
-STEP = 1 / 240  # s, PyBullet's own
-TOUCHING = 1e-4  # m; contacts further apart than this are warnings of Bullet's margin, not touches
-POSITION_GAIN = 0.3  # share of the position error that is corrected in a step
+AT_REST, PATIENCE = 0.01, 3.0  # m/s; s after the motion that are waited for things to be slower
+STRIP = 6  # pictures of a filmstrip
 NO_FILM = np.zeros((0, 0, 0, 3), np.uint8)
-UNLIMITED = 1e3  # N m or N, where the URDF allows no effort at all
+WORDS = ("names", "touched", "touched_by", "conditions", "said")
+NUMBERS = ("duration", "final_error", "success", "fps", "fastest")
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,10 +35,12 @@ class Execution:
     """What the robot did, a row for each of N control steps; the time after the plan's end is for settling.
 
     times (N,) [s]. joints (N, J) [rad]. names: of the joints. tip (N, 3) [m]. tip_error (N,) [m]: against the planned
-    tip at the same time. duration [s]: of the plan. touched: bodies that the robot touched, in that order, with
-    touched_by, the link that did, touched_at (C,) [s] and touch_depth (C,) [m], the deepest overlap. goal (3,) [m]:
-    where the tip was to end (nan in a world without a goal). final_error [m]: from there, or else from the plan's
-    end. success: by the world's conditions. frames (F, H, W, 3) uint8 at ``fps``: the film, not kept by ``save``.
+    tip at the same time. duration [s]: of the plan. touched: bodies that the robot was not to touch and did, in that
+    order, with touched_by, the link that did, touched_at (C,) [s] and touch_depth (C,) [m], the deepest overlap. goal
+    (3,) [m]: where the tip was to end (nan in a world without a goal). final_error [m]: from there, or else from the
+    plan's end. conditions: names of the world's, with what was measured (K,), its bound (K,), whether each is met (K,)
+    and said, in words. fastest [m/s]: of all things. success: all are met. frames (F, H, W, 3) uint8 at ``fps``: the
+    film, not kept by ``save``.
     """
 
     times: np.ndarray
@@ -51,9 +55,20 @@ class Execution:
     touch_depth: np.ndarray
     goal: np.ndarray
     final_error: float
+    conditions: tuple[str, ...]
+    measured: np.ndarray
+    bounds: np.ndarray
+    met: np.ndarray
+    said: tuple[str, ...]
+    fastest: float
     success: bool
     fps: float
     frames: np.ndarray
+
+    @property
+    def strip(self) -> np.ndarray:
+        """(STRIP,) which frames a filmstrip shows, evenly over the film; frame k is of time k / fps."""
+        return np.linspace(0, int(self.times[-1] * self.fps + 1e-9), STRIP).astype(int)
 
     @property
     def metrics(self) -> dict:
@@ -65,7 +80,10 @@ class Execution:
             "final_error_mm": 1e3 * float(self.final_error),
             "contacts": len(self.touched),
             "success": bool(self.success),
-        }
+            "fastest_thing_m_s": float(self.fastest),
+            "conditions": {name: {"measured": float(value), "bound": float(bound), "met": bool(met)}
+                           for name, value, bound, met in zip(self.conditions, self.measured, self.bounds, self.met)},
+        }  # fmt: skip
 
     @property
     def sentence(self) -> str:
@@ -75,17 +93,19 @@ class Execution:
             f"{link} touched {body} after {at:.2f} s ({1e3 * depth:.1f} mm deep)"
             for body, link, at, depth in zip(self.touched, self.touched_by, self.touched_at, self.touch_depth)
         ]
+        unmet = [said for said, met in zip(self.said, self.met) if not met]
         return (
             f"{'success' if self.success else 'failure'}: the hand ended {numbers['final_error_mm']:.1f} mm from where "
             f"it was to go and followed the plan within {numbers['tracking_error_mm']:.2f} mm RMS, "
             f"{numbers['tracking_error_max_mm']:.2f} mm at most; "
             f"{'; '.join(touches) if touches else 'nothing was touched'}"
+            f"{'; not as it was to be: ' if unmet else ''}{'; '.join(unmet)}"
         )
 
     def save(self, path) -> None:
         """Write all but the film to an npz file, whole or not at all."""
         values = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "frames"}
-        words = {name: np.array(values[name], dtype=str) for name in ("names", "touched", "touched_by")}
+        words = {name: np.array(values[name], dtype=str) for name in WORDS}
         with replacing(path) as temporary:
             np.savez(temporary, **values | words)
 
@@ -99,67 +119,86 @@ class Execution:
                 values = {f.name: file[f.name] for f in fields(cls) if f.name != "frames"}
         except (ValueError, KeyError, EOFError, OSError, BadZipFile) as error:
             raise ValueError(f"{path} is not an execution file ({error}); robot.execute writes one") from None
-        words = {name: tuple(values[name].tolist()) for name in ("names", "touched", "touched_by")}
-        numbers = {name: values[name].item() for name in ("duration", "final_error", "success", "fps")}
+        words = {name: tuple(values[name].tolist()) for name in WORDS}
+        numbers = {name: values[name].item() for name in NUMBERS}
         return cls(**values | words | numbers, frames=NO_FILM)
 
 
-def perform(plan, arm, world, *, camera=None, fps=12.5, width=480, height=360, settle=0.6) -> Execution:
+def perform(plan, arm, world, *, events=(), camera=None, fps=12.5, width=480, height=360, settle=0.6) -> Execution:
     """The arm follows the plan among the bodies of the world, which changes by it.
 
-    plan: Plan. arm: Arm. world: World, without a robot in it yet. camera: Camera that films; None stands it where the
-    world's ``film`` says, ``width`` x ``height`` [px]. fps: frames a second; 0 films nothing. settle [s]: how long the
-    last posture is held before the judge looks. Raises ValueError for a plan that is not feasible or of another arm.
+    plan: Plan. arm: Arm. world: World, without a robot in it yet. events: Events at times [s] of the plan; the gripper
+    knows "gripper_open" and "gripper_close". camera: Camera that films; None stands it where the world's ``film`` says,
+    ``width`` x ``height`` [px]. fps: frames a second; 0 films nothing. settle [s]: how long the last posture is held at
+    least before the judge looks. Raises ValueError for a plan that is not feasible or of another arm.
     """
     _check(plan, arm, fps, settle)
     camera = film_camera(world.spec, width, height) if camera is None and fps else camera
-    robot = _Robot(arm, world.client, plan.joints[0])
-    motion = motion_spline(plan.times, plan.joints)
-    duration = float(plan.times[-1])
-    times = STEP * np.arange(int(np.ceil((duration + settle) / STEP)) + 1)
-    wanted = motion(np.minimum(times, duration))
-    joints, tip, frames, touches = [], [], [], {}
-    for k, time in enumerate(times):
-        if k:
-            robot.step(wanted[k - 1], wanted[k])
+    robot = Robot(arm, world.client, plan.joints[0])
+    robot.take(world)
+    motion, duration = motion_spline(plan.times, plan.joints), float(plan.times[-1])
+    wanted = lambda time: motion(min(time, duration))
+    coming = sorted(events, key=lambda event: event.time)
+    times, joints, tip, frames, touches, fastest = [], [], [], [], {}, 0.0
+    for time in _clock(duration, settle, world):
+        if times:
+            robot.step(wanted(times[-1]), wanted(time))
+        while coming and coming[0].time <= time + STEP / 2:
+            robot.happen(coming.pop(0).name, world)
         _note_touches(touches, robot.touches(), world, time)
+        fastest = max([fastest, *map(world.speed, world.movable)])
         state, position = robot.state()
-        joints.append(state)
-        tip.append(position)
+        times.append(time), joints.append(state), tip.append(position)
         if fps and len(frames) <= time * fps + 1e-9:
             frames.append(world.photograph(camera))
-    joints, tip = np.array(joints), np.array(tip)
-    tip_error = np.linalg.norm(tip - arm.fk(wanted)[:, :3, 3], axis=1)
-    verdict = judge(world, tip[-1], len(touches), planned_end=arm.fk(wanted[-1])[:3, 3])
-    film = np.array(frames) if frames else NO_FILM
+    times, joints, tip = np.array(times), np.array(joints), np.array(tip)
+    planned = arm.fk(motion(np.minimum(times, duration)))[:, :3, 3]
+    goal, verdicts = judge(world, tip[-1], tuple(touches), planned_end=planned[-1])
     return Execution(
         times,
         joints,
         tuple(plan.names),
         tip,
-        tip_error,
+        np.linalg.norm(tip - planned, axis=1),
         duration,
         *_columns(touches),
-        **verdict,
-        fps=float(fps),
-        frames=film,
+        goal,
+        verdicts[0].value,
+        tuple(v.name for v in verdicts),
+        np.array([v.value for v in verdicts], dtype=float),
+        np.array([v.bound for v in verdicts], dtype=float),
+        np.array([v.met for v in verdicts]),
+        tuple(v.said for v in verdicts),
+        fastest,
+        all(v.met for v in verdicts),
+        float(fps),
+        np.array(frames) if frames else NO_FILM,
     )
 
 
-def judge(world, tip, contacts: int, *, planned_end=None) -> dict:
-    """By the world's own conditions, from where its things stand now: {goal, final_error, success}, see Execution.
+def _clock(duration, settle, world) -> Iterator[float]:
+    """Times of the steps [s]: the motion, ``settle`` seconds more, and until things are at rest or patience ends."""
+    steps = int(np.ceil((duration + settle) / STEP))
+    for k in range(steps + int(PATIENCE / STEP)):
+        if k > steps and all(world.speed(name) < AT_REST for name in world.movable):
+            return
+        yield k * STEP
 
-    tip (3,) [m]: where the hand is. contacts: how many bodies were touched. planned_end (3,): what counts as the goal's
-    place in a world that has none.
+
+def judge(world, tip, touched=(), *, planned_end=None) -> tuple[np.ndarray, list[conditions.Verdict]]:
+    """By the world's own conditions, from where its things stand now: the goal (3,) [m], see Execution, and the
+    verdicts, the hand's first.
+
+    tip (3,) [m]: where the hand is. touched: names of what was touched and not to be. planned_end (3,): what counts as
+    the goal's place in a world that has none.
     """
-    conditions = {"reached_m": 0.05, "contacts": 0} | (world.spec.get("success") or {})
+    bounds = conditions.DEFAULTS | (world.spec.get("success") or {})
     goal = goal_point(world)
     place = planned_end if np.isnan(goal).any() else goal
     if place is None:
         raise ValueError(f"world {world.spec['name']} has no goal to judge by")
-    final_error = float(np.linalg.norm(np.asarray(tip) - place))
-    success = final_error <= conditions["reached_m"] and contacts <= conditions["contacts"]
-    return {"goal": goal, "final_error": final_error, "success": bool(success)}
+    hand = conditions.hand(tip, place, bounds["reached_m"])
+    return goal, [hand, conditions.contacts(touched, bounds["contacts"]), *conditions.judged(world)]
 
 
 def goal_point(world) -> np.ndarray:
@@ -167,9 +206,8 @@ def goal_point(world) -> np.ndarray:
     goal = world.spec.get("goal")
     if not goal:
         return np.full(3, np.nan)
-    position, _ = world.client.getBasePositionAndOrientation(world.bodies[goal["object"]])
     approach = np.array(goal["approach"], dtype=float)
-    return np.array(position) - goal["distance"] * approach / np.linalg.norm(approach)
+    return world.pose(goal["object"])[:3, 3] - goal["distance"] * approach / np.linalg.norm(approach)
 
 
 def film_camera(spec: dict, width: int, height: int) -> Camera:
@@ -198,50 +236,6 @@ def save_video(path, frames: Sequence[np.ndarray], fps: float) -> None:
             video.mux(stream.encode())
 
 
-class _Robot:
-    """The arm's body in the world's client, at rest in a posture; its state is read and written here only."""
-
-    def __init__(self, arm, client, start):
-        self.client, self.body = client, arm.spawn(client)
-        self.joints = list(arm.joint_indices)
-        self.fingers, self.open = list(arm.finger_indices), list(arm.fingers.values())
-        for joint, value in zip(self.joints, start):
-            client.resetJointState(self.body, joint, float(value))
-        info = [client.getJointInfo(self.body, index) for index in range(client.getNumJoints(self.body))]
-        self.links = [entry[12].decode() for entry in info]
-        self.tip = self.links.index(arm.tip_link)
-        self.effort = {index: entry[10] or UNLIMITED for index, entry in enumerate(info)}
-        client.setTimeStep(STEP)
-
-    def step(self, now, then) -> None:
-        """One step of the motors from where the plan is now (J,) to where it is ``then`` (J,)."""
-        speeds = (np.asarray(then) - now) / STEP
-        self._drive(self.joints, now, speeds)
-        self._drive(self.fingers, self.open, np.zeros(len(self.fingers)))
-        self.client.stepSimulation()
-
-    def _drive(self, joints, positions, speeds) -> None:
-        for joint, position, speed in zip(joints, positions, speeds):
-            self.client.setJointMotorControl2(
-                self.body, joint, pybullet.POSITION_CONTROL,
-                targetPosition=float(position), targetVelocity=float(speed),
-                positionGain=POSITION_GAIN, velocityGain=1.0, force=self.effort[joint],
-            )  # fmt: skip
-
-    def state(self) -> tuple[np.ndarray, np.ndarray]:
-        """Joint values (J,) and the tip's place (3,) [m]."""
-        joints = [state[0] for state in self.client.getJointStates(self.body, self.joints)]
-        return np.array(joints), np.array(
-            self.client.getLinkState(self.body, self.tip, computeForwardKinematics=True)[4]
-        )
-
-    def touches(self) -> list[tuple[int, str, float]]:
-        """(body, link, overlap [m]) of what the robot touches now; its fixed foot may stand on something."""
-        self.client.performCollisionDetection()
-        points = self.client.getContactPoints(bodyA=self.body)
-        return [(p[2], self.links[p[3]], -p[8]) for p in points if p[2] != self.body and p[3] >= 0 and p[8] < TOUCHING]
-
-
 def _check(plan, arm, fps, settle):
     if not plan.feasible:
         raise ValueError(f"the plan is not feasible, so it is not performed: {plan.sentence}")
@@ -252,11 +246,14 @@ def _check(plan, arm, fps, settle):
 
 
 def _note_touches(touches: dict, seen, world, time) -> None:
-    """touches: {body: (link, time, deepest overlap)}, of each body the first touch and the depth of the deepest."""
+    """touches: {body: (link, time, deepest overlap)}, of each body that is not to be touched the first touch and the
+    depth of the deepest."""
     names = {body: name for name, body in world.bodies.items()}
     for body, link, depth in seen:
-        first = touches.setdefault(names.get(body, f"body {body}"), (link, time, depth))
-        touches[names.get(body, f"body {body}")] = (*first[:2], max(first[2], depth))
+        name = names.get(body, f"body {body}")
+        if name not in world.touchable:
+            first = touches.setdefault(name, (link, time, depth))
+            touches[name] = (*first[:2], max(first[2], depth))
 
 
 def _columns(touches: dict):

@@ -5,22 +5,28 @@ import numpy as np
 from scene.camera import Camera, look_at
 
 GOLDEN = np.pi * (3 - np.sqrt(5))
+AROUND = {"radius": (1.25, 1.75), "elevation_deg": (22.0, 68.0), "azimuth_deg": (0.0, 360.0)}
 
 
-def hemisphere(view: dict, *, seed: int = 0, count=48, width=640, height=480, fov_deg=55.0, radius=(1.25, 1.75), elevation_deg=(22.0, 68.0),
-               jitter=0.08) -> list[Camera]:  # fmt: skip
-    """``count`` cameras evenly over the hemisphere around ``view["target"]`` (3,) [m], all looking near it.
+def hemisphere(view: dict, *, seed: int = 0, count=48, width=640, height=480, fov_deg=55.0, radius=None, elevation_deg=None,
+               azimuth_deg=None, jitter=0.08) -> list[Camera]:  # fmt: skip
+    """``count`` cameras evenly over a part of the hemisphere around ``view["target"]`` (3,) [m], all looking near it.
 
-    They lie on a golden spiral between two elevations [deg], at distances within ``radius`` [m], the higher the nearer;
-    ``jitter`` [m] is the standard deviation of a hand's inaccuracy, in place and in what is looked at.
+    They lie on a golden spiral between two elevations and two azimuths [deg] (0 is along x, 90 along y), at distances
+    within ``radius`` [m], the higher the nearer. Where these are None, the world's ``view`` says them (into a box one
+    sees from above, into a shelf from one side), or else they are AROUND. ``jitter`` [m] is the standard deviation of a
+    hand's inaccuracy, in place and in what is looked at.
     """
     rng = np.random.default_rng(seed)
+    asked = {"radius": radius, "elevation_deg": elevation_deg, "azimuth_deg": azimuth_deg}
+    where = AROUND | {key: view[key] for key in AROUND if key in view} | {key: pair for key, pair in asked.items() if pair is not None}
+    (most, least), (low, high), (first, last) = (where[key] for key in ("radius", "elevation_deg", "azimuth_deg"))
     target = np.array(view["target"], dtype=float)
     share = (np.arange(count) + 0.5) / count
-    low, high = np.sin(np.radians(elevation_deg))
+    low, high = np.sin(np.radians([low, high]))
     elevation = np.arcsin(low + share * (high - low))
-    azimuth = GOLDEN * np.arange(count)
-    distance = radius[1] + share * (radius[0] - radius[1])
+    azimuth = np.radians(first + (GOLDEN * np.arange(count) / (2 * np.pi)) % 1 * (last - first))
+    distance = least + share * (most - least)
     offsets = np.stack([np.cos(azimuth) * np.cos(elevation), np.sin(azimuth) * np.cos(elevation), np.sin(elevation)], axis=1)
     eyes = target + distance[:, None] * offsets + rng.normal(0, jitter, (count, 3))
     aims = target + rng.normal(0, jitter, (count, 3))

@@ -131,7 +131,7 @@ def link_pieces(description) -> list[tuple[int, Piece]]:
 
 def _urdf_piece(name, shape) -> Piece:
     if shape.kind == "mesh":
-        return convex(name, _mesh_points(shape.mesh) * shape.size, shape.link_from_shape)
+        return convex(name, mesh_points(shape.mesh) * shape.size, shape.link_from_shape)
     make = {
         "box": lambda: box(name, shape.size, shape.link_from_shape),
         "sphere": lambda: sphere(name, shape.size[0], shape.link_from_shape),
@@ -141,7 +141,7 @@ def _urdf_piece(name, shape) -> Piece:
     return make[shape.kind]()
 
 
-def _mesh_points(path) -> np.ndarray:
+def mesh_points(path) -> np.ndarray:
     if not Path(path).is_file():
         raise FileNotFoundError(f"no mesh at {path}")
     try:
@@ -198,6 +198,6 @@ def _body_piece(client, name, body, link, data, world_from_com) -> Piece:
     if kind == pybullet.GEOM_MESH:
         path = Path(file.decode() if isinstance(file, bytes) else file)
         if path.is_file():
-            return convex(name, _mesh_points(path) * np.asarray(size), pose)
+            return convex(name, mesh_points(path) * np.asarray(size), pose)
         return convex(name, client.getMeshData(body, link)[1], world_from_com)  # already scaled and moved there
     raise ValueError(f"{name} has a collision shape of PyBullet's type {kind}, which has no distance here")

@@ -1,4 +1,5 @@
-"""Procedural surfaces that look like a workshop: planks, cardboard, printed labels, concrete, painted metal.
+"""Procedural surfaces that look like a workshop: planks, cardboard, printed labels, concrete, painted metal,
+speckled enamel, squared paper.
 
 Each painter takes (rng, height, width, scale, colour) with height and width in pixels and ``scale`` in pixels per metre, and
 returns an RGB picture (height, width, 3) uint8. Details have the sizes they have in life, and there are corners at many
@@ -111,7 +112,31 @@ def metal(rng, height, width, scale, colour):
     return scratches(rng, picture, scale, per_square_metre=90)
 
 
-PAINTERS = {painter.__name__: painter for painter in (wood, cardboard, label, concrete, metal)}
+def enamel(rng, height, width, scale, colour):
+    """Speckled enamel, as camping mugs have it, with a few chips and fine cracks of the glaze."""
+    picture = canvas((1 + 0.02 * noise(rng, height, width, scale, (0.06, 0.02)))[..., None] * colour)
+    dots(rng, picture, scale, per_square_metre=2600, radius=(0.0008, 0.0024))
+    dots(rng, picture, scale, per_square_metre=250, radius=(0.002, 0.004))
+    return scratches(rng, picture, scale, per_square_metre=40)
+
+
+def paper(rng, height, width, scale, colour):
+    """Used squared paper: lines every 2 cm, heavier ones every 10 cm, notes, rings of cups, specks."""
+    v, u = np.mgrid[:height, :width].astype(np.float32) / scale
+    shade = 1 + 0.025 * noise(rng, height, width, scale, (0.3, 0.1, 0.03))
+    for step, line, dark in ((0.02, 0.0011, 0.16), (0.1, 0.0022, 0.3)):
+        shade = shade - dark * ((u % step < line) | (v % step < line))
+    picture = canvas(shade[..., None] * colour)
+    for _ in range(int(9 * height * width / scale**2)):
+        at = (int(rng.uniform(0, width)), int(rng.uniform(0, height)))
+        cv2.circle(picture, at, max(int(rng.uniform(0.02, 0.04) * scale), 1), tuple(map(float, 0.86 * colour)), max(int(0.003 * scale), 1), cv2.LINE_AA)
+    ink = (float(rng.uniform(30, 80)), float(rng.uniform(50, 90)), float(rng.uniform(120, 190)))
+    prints(rng, picture, scale, ink, per_square_metre=22)
+    dots(rng, picture, scale, per_square_metre=1100, radius=(0.0012, 0.004))
+    return picture
+
+
+PAINTERS = {painter.__name__: painter for painter in (wood, cardboard, label, concrete, metal, enamel, paper)}
 
 
 def noise(rng, height, width, scale, periods, stretch=1.0) -> np.ndarray:

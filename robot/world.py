@@ -8,13 +8,17 @@ Frame: metres, z up, the robot's base. Collision shapes are primitives; skins ar
 
 import tempfile
 import zlib
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from robot import skins, worldfile
-from robot.bullet import connect, pybullet
+from robot import bodies, skins, standing, worldfile
+from robot import thing as things
+from robot.bullet import BulletClient, connect, pybullet
+from robot.variation import varied
 from scene.camera import OPENCV_FROM_OPENGL, Camera, invert
 
 NEAR, FAR = 0.05, 30.0  # m
@@ -22,7 +26,7 @@ SUPERSAMPLING = 2  # TinyRenderer does not smooth edges: twice the pixels, avera
 HALF_PIXEL = 0.5 / SUPERSAMPLING  # TinyRenderer samples pixels at their lower left corner, not at their centre
 LIGHT = {"lightDirection": [2.0, -3.0, 6.0], "lightColor": [1, 1, 1], "lightAmbientCoeff": 0.62, "lightDiffuseCoeff": 0.45,
          "lightSpecularCoeff": 0.0}  # fmt: skip
-HINGE = 0.05  # m, how far from its middle a hinge is held
+FRICTION = 0.7
 EDGE = 0.03  # share of the depth; samples of a pixel further apart than this lie on different surfaces
 BACKDROP = (226, 228, 230)
 
@@ -30,19 +34,22 @@ BACKDROP = (226, 228, 230)
 class World:
     """Bodies by name, a PyBullet client, and a camera. Use it in a ``with`` statement, or call ``close``.
 
-    spec: the data of the world's file, varied under its seed. client: BulletClient. bodies: {name: body id}.
+    spec: the data of the world's file, varied under its seed. client: BulletClient. bodies: {name: body id}; what is
+    held is among them once a hand holds it.
     """
 
     def __init__(self, spec: dict, *, textured: bool = True):
         worldfile.check(spec)
-        self.spec = worldfile.varied(spec)
+        self.spec = varied(spec)
+        standing.check(self.spec)
         self.client = connect()
         self.client.setGravity(0, 0, -9.81)
         self.bodies: dict[str, int] = {}
+        self._links: dict[str, int] = {}  # by name; -1 is a body's base
         self._textured = textured
+        self._grip: int | None = None
         try:
-            with tempfile.TemporaryDirectory() as folder:
-                self._build(Path(folder))
+            self._build()
         except BaseException:
             self.close()
             raise
@@ -68,76 +75,120 @@ class World:
         if self.client.isConnected():
             self.client.disconnect()
 
+    # Where things are
+
+    def thing(self, name: str) -> dict:
+        """What the file says of a thing, the held one among them."""
+        held = [self.spec["held"]] if self.spec.get("held") else []
+        return next(one for one in (*self.spec["objects"], *held) if one["name"] == name)
+
+    def pose(self, name: str) -> np.ndarray:
+        """world_from_thing (4, 4), as it stands now."""
+        body, link = self.bodies[name], self._links[name]
+        place = self.client.getBasePositionAndOrientation(body) if link < 0 else self.client.getLinkState(body, link, computeForwardKinematics=True)[:2]
+        return _matrix(*place)
+
+    def speed(self, name: str) -> float:
+        """How fast the middle of a thing moves now [m/s]."""
+        body, link = self.bodies[name], self._links[name]
+        velocity = self.client.getBaseVelocity(body)[0] if link < 0 else self.client.getLinkState(body, link, computeLinkVelocity=True)[6]
+        return float(np.linalg.norm(velocity))
+
+    def joint_opening(self, name: str) -> float:
+        """How far a joint stands from its lower limit now [m or rad]."""
+        joint = next(one for one in self.spec["joints"] if one["name"] == name)
+        return self.client.getJointState(self.bodies[joint["child"]], 0)[0] - joint["lower"]
+
+    @property
+    def movable(self) -> list[str]:
+        """The names of what has a mass, as far as it is in the world."""
+        return [name for name in self.bodies if self.thing(name).get("mass")]
+
+    @property
+    def touchable(self) -> set[str]:
+        """The names of what the task is to touch, the held thing among them."""
+        return {*self.spec.get("touch", []), *([self.spec["held"]["name"]] if self.spec.get("held") else [])}
+
+    @property
+    def obstacles(self) -> "Obstacles":
+        """What a motion must keep clear of: all but what it is to touch."""
+        to_touch = self.spec.get("touch", [])
+        return Obstacles(self.client, {name: body for name, body in self.bodies.items() if name not in to_touch}, self.spec)
+
     # Building
 
-    def _build(self, folder: Path) -> None:
-        for thing in self.spec["objects"]:
-            self.bodies[thing["name"]] = self._add(thing, folder)
-        for joint in self.spec.get("joints", []):
-            self._join(joint)
-        for tag in self.spec.get("tags", []) if self._textured else []:
-            self._lay_tag(tag, folder)
+    def _build(self) -> None:
+        joints = {joint["child"]: joint for joint in self.spec.get("joints", [])}
+        with tempfile.TemporaryDirectory() as folder:
+            for thing in self.spec["objects"]:
+                self._add(thing, things.pose(thing), Path(folder), joints.get(thing["name"]))
+            for tag in self.spec.get("tags", []) if self._textured else []:
+                self._lay_tag(tag, Path(folder))
+        for joint in joints.values():
+            self.client.setCollisionFilterPair(self.bodies[joint["parent"]], self.bodies[joint["child"]], -1, 0, 0)
 
-    def _add(self, thing: dict, folder: Path) -> int:
-        quat_xyzw = pybullet.getQuaternionFromEuler(np.radians(thing.get("rpy_deg", [0, 0, 0])))
-        visual, picture = self._skin(thing, folder) if self._textured else (-1, None)
-        body = self.client.createMultiBody(
-            baseMass=thing.get("mass", 0),
-            baseCollisionShapeIndex=self._collision_shape(thing),
-            baseVisualShapeIndex=visual,
-            basePosition=thing["position"],
-            baseOrientation=quat_xyzw,
-        )
-        self.client.changeDynamics(body, -1, lateralFriction=thing.get("friction", 0.7))
+    def _add(self, thing: dict, pose, folder: Path, joint: dict | None = None) -> None:
+        """A body of its own; on a joint it is the only link of an unseen rail."""
+        skin, picture = self._skin(thing, folder) if self._textured else (None, None)
+        at = np.zeros(3) if joint is None or "at" not in joint else pose[:3, :3].T @ (pose[:3, 3] - joint["at"])
+        visual = -1 if skin is None else self.client.createVisualShape(pybullet.GEOM_MESH, visualFramePosition=at.tolist(), **skin)
+        collision, mass, name = bodies.collision_shape(self.client, thing, at), thing.get("mass", 0), thing["name"]
+        position, quat_xyzw = (pose[:3, 3] - pose[:3, :3] @ at).tolist(), Rotation.from_matrix(pose[:3, :3]).as_quat().tolist()
+        link = -1 if joint is None else 0
+        if joint is None:
+            body = self.client.createMultiBody(mass, collision, visual, position, quat_xyzw)
+        else:
+            body = bodies.on_rail(self.client, joint, mass, (collision, visual), position, quat_xyzw, at)
+        self.client.changeDynamics(body, link, lateralFriction=thing.get("friction", FRICTION))
         if picture:
-            self.client.changeVisualShape(body, -1, textureUniqueId=self.client.loadTexture(picture))
-        return body
+            self.client.changeVisualShape(body, link, textureUniqueId=self.client.loadTexture(picture))
+        self.bodies[name], self._links[name] = body, link
 
-    def _collision_shape(self, thing: dict) -> int:
-        if thing["shape"] == "box":
-            return self.client.createCollisionShape(pybullet.GEOM_BOX, halfExtents=[length / 2 for length in thing["size"]])
-        if thing["shape"] == "cylinder":
-            return self.client.createCollisionShape(pybullet.GEOM_CYLINDER, radius=thing["radius"], height=thing["height"])
-        return self.client.createCollisionShape(pybullet.GEOM_MESH, fileName=str(thing["file"]))
-
-    def _skin(self, thing: dict, folder: Path) -> tuple[int, str | None]:
+    def _skin(self, thing: dict, folder: Path) -> tuple[dict, str | None]:
+        """The visual shape's mesh and colour, and its picture."""
         if thing["shape"] == "mesh":
             colour = [c / 255 for c in thing.get("colour", [180, 180, 180])] + [1]
-            return self.client.createVisualShape(pybullet.GEOM_MESH, fileName=str(thing["file"]), rgbaColor=colour), None
+            return {"fileName": str(thing["file"]), "rgbaColor": colour}, None
         mesh, picture = skins.save(folder, thing["name"], *skin(thing, self.spec["name"]))
-        return self.client.createVisualShape(pybullet.GEOM_MESH, fileName=mesh, rgbaColor=[1, 1, 1, 1]), picture
+        return {"fileName": mesh, "rgbaColor": [1, 1, 1, 1]}, picture
 
     def _lay_tag(self, tag: dict, folder: Path) -> None:
         """A quad a millimetre above what it lies on; it is seen and never touched."""
         mesh, picture = skins.save(folder, f"tag{tag['id']}", *skins.tag(tag["id"], tag["size"]))
-        pose = tag_pose(tag)
+        pose = things.pose(tag)
         visual = self.client.createVisualShape(pybullet.GEOM_MESH, fileName=mesh, rgbaColor=[1, 1, 1, 1])
-        quat_xyzw = pybullet.getQuaternionFromEuler(np.radians(tag.get("rpy_deg", [0, 0, 0])))
+        quat_xyzw = Rotation.from_matrix(pose[:3, :3]).as_quat()
         body = self.client.createMultiBody(baseVisualShapeIndex=visual, basePosition=pose[:3, 3], baseOrientation=quat_xyzw)
         self.client.changeVisualShape(body, -1, textureUniqueId=self.client.loadTexture(picture))
 
-    def _join(self, joint: dict) -> None:
-        """A slider along the axis, or a hinge about it through the child's centre: held at two points of it. No limits."""
-        parent, child = self.bodies[joint["parent"]], self.bodies[joint["child"]]
-        poses = [self.client.getBasePositionAndOrientation(body) for body in (parent, child)]
-        world_from_parent, world_from_child = (_rotation(quat_xyzw) for _, quat_xyzw in poses)
-        axis = np.array(joint["axis"], dtype=float) / np.linalg.norm(joint["axis"])  # in the world's frame
-        offset = world_from_parent.T @ np.subtract(poses[1][0], poses[0][0])
-        self.client.setCollisionFilterPair(parent, child, -1, -1, 0)
-        if joint["type"] == "prismatic":
-            self._constrain(pybullet.JOINT_PRISMATIC, parent, child, world_from_parent.T @ axis, offset, np.zeros(3))
-            return
-        for end in (-HINGE, HINGE):
-            along = end * axis
-            self._constrain(pybullet.JOINT_POINT2POINT, parent, child, axis, offset + world_from_parent.T @ along, world_from_child.T @ along)
+    # What a hand holds
 
-    def _constrain(self, kind, parent, child, axis, on_parent, on_child) -> None:
-        self.client.createConstraint(parent, -1, child, -1, kind, axis.tolist(), on_parent.tolist(), on_child.tolist())
+    def bring_held(self, base_from_tip) -> None:
+        """What the file says is held comes into the world, where a hand at ``base_from_tip`` (4, 4) has it."""
+        with tempfile.TemporaryDirectory() as folder:
+            self._add(self.spec["held"], base_from_tip @ things.pose(self.spec["held"]), Path(folder))
+
+    def put_in_hand(self, robot: int, link: int) -> None:
+        """It comes into the world at the robot's link, fixed to that."""
+        com, frame = (_matrix(*self.client.getLinkState(robot, link, computeForwardKinematics=True)[k : k + 2]) for k in (0, 4))
+        self.bring_held(frame)
+        com_from_held = np.linalg.inv(com) @ frame @ things.pose(self.spec["held"])
+        quat_xyzw = Rotation.from_matrix(com_from_held[:3, :3]).as_quat().tolist()
+        self._grip = self.client.createConstraint(robot, link, self.bodies[self.spec["held"]["name"]], -1, pybullet.JOINT_FIXED, [0, 0, 0],
+                                                  com_from_held[:3, 3].tolist(), [0, 0, 0], quat_xyzw)  # fmt: skip
+
+    def let_go(self) -> None:
+        """What is held is free to fall."""
+        if self._grip is not None:
+            self.client.removeConstraint(self._grip)
+            self._grip = None
+
+    # Tags
 
     @property
     def base_from_tag(self) -> dict[int, np.ndarray]:
         """{number: (4, 4)} poses of the tags; a tag's x is right and y up in its upright picture, z out of it."""
-        return {tag["id"]: tag_pose(tag) for tag in self.spec.get("tags", [])}
+        return {tag["id"]: things.pose(tag) for tag in self.spec.get("tags", [])}
 
     @property
     def tag_size(self) -> float:
@@ -181,26 +232,24 @@ def _at_centres(depth: np.ndarray) -> np.ndarray:
     return np.where(farthest - nearest > EDGE * nearest, nearest, 1 / (1 / samples).mean(-1))
 
 
+@dataclass(frozen=True)
+class Obstacles:
+    """A part of a world, for planning. client: BulletClient. bodies: {name: body id}. spec: the world's."""
+
+    client: BulletClient
+    bodies: dict[str, int]
+    spec: dict
+
+
 def skin(thing: dict, world: str) -> tuple[str, np.ndarray]:
     """OBJ text and picture of an object: the same for the same name in the same world, another for every name."""
-    rng = np.random.default_rng(zlib.crc32(f"{world}/{thing['name']}".encode()))
-    kind, colour = thing.get("texture", "wood"), np.array(thing.get("colour", [170, 130, 90]), dtype=float)
-    if thing["shape"] == "box":
-        return skins.box(thing["size"], kind, rng, colour)
-    return skins.cylinder(thing["height"], thing["radius"], kind, rng, colour)
+    return skins.paint(thing, np.random.default_rng(zlib.crc32(f"{world}/{thing['name']}".encode())))
 
 
-def _rotation(quat_xyzw) -> np.ndarray:
-    return np.reshape(pybullet.getMatrixFromQuaternion(quat_xyzw), (3, 3))
-
-
-def tag_pose(tag: dict) -> np.ndarray:
-    """base_from_tag (4, 4)."""
-    pose = np.eye(4)
-    quat_xyzw = pybullet.getQuaternionFromEuler(np.radians(tag.get("rpy_deg", [0, 0, 0])))
-    pose[:3, :3] = np.reshape(pybullet.getMatrixFromQuaternion(quat_xyzw), (3, 3))
-    pose[:3, 3] = tag["position"]
-    return pose
+def _matrix(position, quat_xyzw) -> np.ndarray:
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = np.reshape(pybullet.getMatrixFromQuaternion(quat_xyzw), (3, 3)), position
+    return matrix
 
 
 def _gl_projection(camera: Camera) -> np.ndarray:

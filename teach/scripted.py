@@ -13,7 +13,7 @@ from scipy.interpolate import CubicSpline
 from scene.camera import Camera
 from teach.curve import arc_length, extent, resample
 from teach.hand import Hand, faults, own_speed, scaled, tremor
-from teach.sketch import Sketch, SketchError, Stroke
+from teach.sketch import Event, Sketch, SketchError, Stroke
 
 POINTS = 200
 """Points of a path and of its projection."""
@@ -56,11 +56,12 @@ def draw(
     rng: np.random.Generator,
     flow=None,
     demonstration: int = 0,
+    events=(),
 ) -> Stroke:
     """The stroke of someone who means ``path`` (T, 3) [m] and looks at a picture taken or rendered by ``camera``.
 
-    flow: (H, W, 2) px from ``picture_flow``, where the picture shown differs from what the camera would see. The hand
-    adds the share of its faults that is not in the path. Raises SketchError unless the picture holds the whole motion.
+    flow: (H, W, 2) px from ``picture_flow``, where the picture shown differs from what the camera would see. events:
+    (name, share of the path) of what happens on the way, marked where the stroke is by then. The hand adds the share of its faults that is not in the path. Raises SketchError unless the picture holds the whole motion.
     """
     pixels = camera.project(path)
     _require_inside(pixels, camera, "the motion")
@@ -78,7 +79,8 @@ def draw(
     if hand.grid > 0:
         points = np.round(points / hand.grid) * hand.grid
     _require_inside(points, camera, "the stroke")
-    return Stroke(points, times, demonstration=demonstration, pointer="scripted")
+    marked = tuple(Event(name, float(np.interp(share, progress, times))) for name, share in events)
+    return Stroke(points, times, demonstration=demonstration, events=marked, pointer="scripted")
 
 
 def sketch(
@@ -90,13 +92,14 @@ def sketch(
     count: int = 3,
     flow=None,
     first: int = 0,
+    events=(),
 ) -> tuple[Sketch, np.ndarray]:
     """The demonstrations drawn on a view, numbered from ``first``, and the paths (count, POINTS, 3) [m] they mean.
 
     ``camera`` is where the picture was taken; fitting may use another (an estimated one): replace it in the Sketch.
     """
     paths = intended_paths(via, count, hand, rng, camera)
-    strokes = [draw(path, camera, hand, rng, flow, first + number) for number, path in enumerate(paths)]
+    strokes = [draw(path, camera, hand, rng, flow, first + number, events) for number, path in enumerate(paths)]
     return Sketch(view, camera, tuple(strokes)), paths
 
 

@@ -1,19 +1,23 @@
 """Motions performed by simulated motors, judged by where things stand; and their films."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import av
 import numpy as np
 import pytest
 
-from robot import execution
+from robot import conditions
 from robot.arm import Arm
+from robot.events import planned_events
 from robot.execution import Execution, film_camera, goal_point, judge, perform, save_video
 from robot.planner import plan
+from robot.simulated import Robot
 from robot.world import World
-from robot.worldfile import pre_grasp
+from robot.variation import pre_grasp
 from teach.basis import SquaredExponential
 from teach.scripted import smooth_path
+from teach.sketch import Event
 from teach.trajectory import Skill, TrajectoryDistribution
 
 
@@ -113,7 +117,7 @@ def test_the_same_motion_without_the_post_touches_nothing_and_ends_where_planned
 
 def test_motors_are_bound_by_their_effort_and_hold_the_arm_against_gravity(arm, tiny, monkeypatch):
     """An arm whose motors are too weak sinks: the simulated arm is driven, not placed."""
-    robot = execution._Robot(arm, tiny.client, arm.home)
+    robot = Robot(arm, tiny.client, arm.home)
     for _ in range(240):
         robot.step(arm.home, arm.home)
     torque = [abs(state[3]) for state in tiny.client.getJointStates(robot.body, robot.joints)]
@@ -131,15 +135,16 @@ def test_the_goal_is_read_from_where_the_object_stands_now(tiny):
     position, quat_xyzw = tiny.client.getBasePositionAndOrientation(body)
     tiny.client.resetBasePositionAndOrientation(body, np.add(position, [0, 0.1, 0]), quat_xyzw)
     np.testing.assert_allclose(goal_point(tiny) - before, [0, 0.1, 0], atol=1e-9)
-    assert judge(tiny, before, 0)["final_error"] == pytest.approx(0.1)
+    assert judge(tiny, before)[1][0].value == pytest.approx(0.1)
 
 
 @pytest.mark.parametrize(
-    ("off", "contacts", "success"), [(0.0, 0, True), (0.049, 0, True), (0.051, 0, False), (0.0, 1, False)]
+    ("off", "touched", "success"), [(0.0, (), True), (0.049, (), True), (0.051, (), False), (0.0, ("bench",), False)]
 )
-def test_the_judge_follows_the_worlds_conditions(tiny, off, contacts, success):
-    verdict = judge(tiny, goal_point(tiny) + [0, 0, off], contacts)
-    assert verdict["success"] is success and verdict["final_error"] == pytest.approx(off)
+def test_the_judge_follows_the_worlds_conditions(tiny, off, touched, success):
+    _, verdicts = judge(tiny, goal_point(tiny) + [0, 0, off], touched)
+    assert all(v.met for v in verdicts) is success and verdicts[0].value == pytest.approx(off)
+    assert [v.name for v in verdicts] == ["hand_m", "contacts"]
 
 
 def test_plans_that_were_refused_or_are_of_another_arm_are_not_performed(arm, tiny):
@@ -204,3 +209,114 @@ def test_the_film_shows_the_whole_intended_motion(name):
     with World.load(name, textured=False) as world:
         camera = film_camera(world.spec, 480, 360)
         assert camera.contains(camera.project(world.spec["motion"]["via"])).all()
+
+
+# Grippers, events, and conditions
+
+
+def still(arm, duration=0.2):
+    """A plan that stays at home."""
+    return turned(arm, [0], 0.0, duration)
+
+
+def task(**parts):
+    return World.from_spec({"name": "task", "view": {"target": [0.3, 0, 0.3]}, **parts}, textured=False)
+
+
+SUGAR = {"name": "sugar", "shape": "box", "size": [0.03, 0.03, 0.03], "position": [0, 0, 0], "mass": 0.03}
+CUP = {"name": "cup", "shape": "cup", "height": 0.12, "radius": 0.05, "wall": 0.004, "position": [0.307, 0, 0.08], "mass": 0.1}
+FLOOR = {"name": "floor", "shape": "box", "size": [1, 1, 0.02], "position": [0.3, 0, 0.01]}
+POST = {"name": "post", "shape": "box", "size": [0.1, 0.1, 0.6], "position": [0.2, 0.27, 0.32], "mass": 0.3}
+
+
+def test_what_is_held_moves_with_the_hand_and_falls_into_the_cup_when_the_gripper_opens(arm):
+    inside = {"inside": [{"body": "sugar", "container": "cup"}]}
+    with task(objects=[FLOOR, CUP], held=SUGAR, success=inside) as world:
+        assert "sugar" not in world.bodies and set(world.obstacles.bodies) == {"floor", "cup"}
+        done = perform(still(arm), arm, world, events=[Event("gripper_open", 0.15)], fps=0)
+        assert done.success and done.touched == ()
+        np.testing.assert_allclose(world.pose("sugar")[:3, 3], [0.307, 0, 0.039], atol=0.02)
+    with task(objects=[FLOOR, CUP], held=SUGAR, success=inside) as world:
+        kept = perform(turned(arm, [0], 0.5, 1.0), arm, world, fps=0)
+        assert not kept.success and "sugar is" in kept.sentence and "outside cup" in kept.sentence
+        np.testing.assert_allclose(world.pose("sugar")[:3, 3], kept.tip[-1], atol=2e-3)
+        assert kept.metrics["conditions"]["sugar_in_cup_m"]["met"] is False
+
+
+def test_fingers_stop_at_what_is_between_them(arm):
+    with task(objects=[FLOOR], held=SUGAR) as world:
+        robot = Robot(arm, world.client, arm.home)
+        robot.take(world)
+        for _ in range(120):
+            robot.step(arm.home, arm.home)
+        width = sum(world.client.getJointState(robot.body, finger)[0] for finger in robot.fingers)
+        assert width == pytest.approx(0.03, abs=2e-3)
+        robot.happen("gripper_open", world)
+        for _ in range(120):
+            robot.step(arm.home, arm.home)
+        width = sum(world.client.getJointState(robot.body, finger)[0] for finger in robot.fingers)
+        assert width == pytest.approx(0.08, abs=2e-3) and world.pose("sugar")[2, 3] < 0.3
+
+
+def test_what_the_task_is_to_touch_is_no_obstacle_and_no_unwanted_contact(arm):
+    swing = turned(arm, [0], 1.2)
+    with task(objects=[FLOOR, POST], touch=["post"], success={"tilted": [{"body": "post", "degrees": 60}], "below": [{"body": "post", "height": 0.2}]}) as world:
+        assert set(world.obstacles.bodies) == {"floor"}
+        done = perform(swing, arm, world, fps=0)
+    assert done.touched == () and done.success and dict(zip(done.conditions, done.met)) == {
+        "hand_m": True, "contacts": True, "post_height_m": True, "post_tilt_deg": True,
+    }  # fmt: skip
+    with task(objects=[FLOOR, POST]) as world:
+        assert perform(swing, arm, world, fps=0).touched == ("post",)
+
+
+def test_a_drawer_is_judged_by_its_joint():
+    cabinet = {"name": "cabinet", "shape": "box", "size": [0.2, 0.2, 0.2], "position": [0.6, 0, 0.5]}
+    drawer = {"name": "drawer", "shape": "box", "size": [0.1, 0.1, 0.1], "position": [0.5, 0, 0.5], "mass": 1.0}
+    runner = {"name": "runner", "parent": "cabinet", "child": "drawer", "type": "prismatic", "axis": [-1, 0, 0], "lower": -0.1, "upper": 0.1}
+    success = {"closed": [{"joint": "runner", "within": 0.02}], "opened": [{"joint": "runner", "at_least": 0.15}],
+               "reached": [{"body": "drawer", "position": [0.6, 0, 0.5], "within": 0.01}]}  # fmt: skip
+    with task(objects=[cabinet, drawer], joints=[runner], success=success) as world:
+        opening = {}
+        for q in (0.0, -0.1, 0.08):
+            world.client.resetJointState(world.bodies["drawer"], 0, q)
+            opening[q] = [(round(v.value, 3), v.met) for v in conditions.judged(world)]
+    assert opening[0.0] == [(0.1, False), (0.1, False), (0.1, False)]
+    assert opening[-0.1] == [(0.0, False), (0.0, True), (0.0, True)]
+    assert opening[0.08] == [(0.18, True), (0.18, False), (0.18, False)]
+
+
+def test_a_free_fall_ends_as_fast_as_energy_allows_and_two_worlds_do_not_meet(arm):
+    """v = sqrt(2 g h), in a world beside which another one runs."""
+    with task(objects=[FLOOR], held=SUGAR) as world, task(objects=[FLOOR, POST]) as other:
+        before = other.pose("post")
+        done = perform(still(arm), arm, world, events=[Event("gripper_open", 0.1)], fps=0)
+        height = arm.fk(arm.home)[2, 3] - 0.035
+        assert 0.9 * np.sqrt(2 * 9.81 * height) < done.fastest < 1.02 * np.sqrt(2 * 9.81 * height)
+        assert world.speed("sugar") < 0.01
+        np.testing.assert_array_equal(other.pose("post"), before)
+
+
+def test_the_same_task_ends_the_same_way_twice(arm):
+    def once():
+        with task(objects=[FLOOR, POST], touch=["post"]) as world:
+            perform(turned(arm, [0], 1.2), arm, world, fps=0)
+            return world.pose("post")
+
+    np.testing.assert_array_equal(once(), once())
+
+
+def test_events_happen_at_the_same_share_of_the_way(performed):
+    chosen, _ = performed
+    with World.load("tiny", textured=False) as world:
+        skill = replace(taught(world), events=(Event("gripper_open", 3.0), Event("gripper_close", 1.5)))
+    first, last = planned_events(skill, chosen)
+    assert (first.name, last.name) == ("gripper_close", "gripper_open") and last.time == pytest.approx(chosen.times[-1], abs=0.05)
+    there = chosen.tip[np.searchsorted(chosen.times, first.time)]
+    np.testing.assert_allclose(there, skill.distribution.mean_at(0.5)[0], atol=0.02)
+    assert planned_events(replace(skill, events=()), chosen) == ()
+
+
+def test_a_filmstrip_shows_the_first_and_the_last_picture(performed):
+    _, done = performed
+    assert done.strip[0] == 0 and done.strip[-1] == len(done.frames) - 1 and len(done.strip) == 6

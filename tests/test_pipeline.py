@@ -172,3 +172,16 @@ def test_a_scene_that_is_given_to_another_keeps_its_frame(job):
         np.testing.assert_array_equal(given.image, ours.image)
     same = subprocess.run([COMMAND, "photos=scene", "data=scene", "stages=[reconstruct]"], capture_output=True, text=True, cwd=folder)
     assert same.returncode == 2 and "data=ANOTHER_FOLDER" in same.stderr
+
+
+def test_a_task_is_done_with_the_scene_known_from_truth(tmp_path):
+    """Without photographs: what is held falls into the cup, as the report says; in another world, where it then stands."""
+    quick = ("world=drop_into_cup", "world.seed=3", "scene.truth=true", "robot.planner.samples=4", "robot.execution.fps=2", "data=scene")
+    scene2skill(*quick, cwd=tmp_path)
+    (run,) = tmp_path.glob("runs/default/*/0")
+    done = metrics(run)
+    assert not {"capture", "reconstruct", "field"} & set(done)
+    assert done["execute"]["success"] and done["execute"]["conditions"]["sugar_in_cup_m"]["met"]
+    page = (run / "report.html").read_text()
+    assert "sugar_in_cup_m" in page and (run / "figures" / "filmstrip.png").exists()
+    assert [event.name for event in Skill.load(run / "skill.npz").events] == ["gripper_open"]

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from robot import skins, textures, worldfile
+from robot import skins, textures, thing, worldfile
 from robot.world import skin
 
 KINDS = sorted(textures.PAINTERS)
@@ -42,12 +42,12 @@ def test_an_unknown_kind_is_told_which_there_are():
 
 
 def test_every_kind_that_a_world_may_name_can_be_painted():
-    assert set(worldfile.TEXTURES) <= set(textures.PAINTERS)
+    assert set(thing.TEXTURES) <= set(textures.PAINTERS)
 
 
 def test_each_object_of_the_table_has_a_look_of_its_own():
     spec = worldfile.read("table")
-    looks = [skin(thing, "table")[1] for thing in spec["objects"] if thing["name"].startswith("leg")]
+    looks = [skin(one, "table")[1] for one in spec["objects"] if one["name"].startswith("leg")]
     assert len(looks) == 4 and all((a != b).any() for i, a in enumerate(looks) for b in looks[:i])
 
 

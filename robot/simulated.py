@@ -1,0 +1,74 @@
+"""The arm as a body of the simulation: driven by motors, its gripper opened and closed, its touches told.
+
+Every joint's motor goes where it is told and as fast as it is told (velocity feed-forward), within the effort that the
+URDF allows. The gripper is the joints that the arm's file calls ``fingers``, of any kind: open as that says, closed at
+the limit that is farther from there, so that they press on what is between them.
+"""
+
+import numpy as np
+
+from robot.bullet import pybullet
+
+STEP = 1 / 240  # s, PyBullet's own
+TOUCHING = 1e-4  # m; contacts further apart than this are warnings of Bullet's margin, not touches
+POSITION_GAIN = 0.3  # share of the position error that is corrected in a step
+UNLIMITED = 1e3  # N m or N, where the URDF allows no effort at all
+GRIP = 1.2  # friction of what holds things: rubber
+
+
+class Robot:
+    """Its state is read and written here only. arm: Arm. client: BulletClient. start (J,): the posture it rests in."""
+
+    def __init__(self, arm, client, start):
+        self.client, self.body = client, arm.spawn(client)
+        self.joints, self.fingers = list(arm.joint_indices), list(arm.finger_indices)
+        for joint, value in zip(self.joints, start):
+            client.resetJointState(self.body, joint, float(value))
+        info = [client.getJointInfo(self.body, index) for index in range(client.getNumJoints(self.body))]
+        self.links = [entry[12].decode() for entry in info]
+        self.tip = self.links.index(arm.tip_link)
+        self.effort = {index: entry[10] or UNLIMITED for index, entry in enumerate(info)}
+        self.open, self.closed = list(arm.gripper.open), list(arm.gripper.closed)
+        self.grip = self.open
+        for finger in self.fingers:
+            client.changeDynamics(self.body, finger, lateralFriction=GRIP)
+        client.setTimeStep(STEP)
+
+    def step(self, now, then) -> None:
+        """One step of the motors from where the plan is now (J,) to where it is ``then`` (J,)."""
+        self._drive(self.joints, now, (np.asarray(then) - now) / STEP)
+        self._drive(self.fingers, self.grip, np.zeros(len(self.fingers)))
+        self.client.stepSimulation()
+
+    def happen(self, event: str, world) -> None:
+        """The gripper opens or closes; what is held is let go as it opens. Other events are none of the gripper's."""
+        if event == "gripper_open":
+            self.grip = self.open
+            world.let_go()
+        elif event == "gripper_close":
+            self.grip = self.closed
+
+    def take(self, world) -> None:
+        """What the world's file says is held is put between the fingers, and these close on it."""
+        if world.spec.get("held"):
+            world.put_in_hand(self.body, self.tip)
+            self.grip = self.closed
+
+    def _drive(self, joints, positions, speeds) -> None:
+        for joint, position, speed in zip(joints, positions, speeds):
+            self.client.setJointMotorControl2(
+                self.body, joint, pybullet.POSITION_CONTROL,
+                targetPosition=float(position), targetVelocity=float(speed),
+                positionGain=POSITION_GAIN, velocityGain=1.0, force=self.effort[joint],
+            )  # fmt: skip
+
+    def state(self) -> tuple[np.ndarray, np.ndarray]:
+        """Joint values (J,) and the tip's place (3,) [m]."""
+        joints = [state[0] for state in self.client.getJointStates(self.body, self.joints)]
+        return np.array(joints), np.array(self.client.getLinkState(self.body, self.tip, computeForwardKinematics=True)[4])
+
+    def touches(self) -> list[tuple[int, str, float]]:
+        """(body, link, overlap [m]) of what the robot touches now; its fixed foot may stand on something."""
+        self.client.performCollisionDetection()
+        points = self.client.getContactPoints(bodyA=self.body)
+        return [(p[2], self.links[p[3]], -p[8]) for p in points if p[2] != self.body and p[3] >= 0 and p[8] < TOUCHING]

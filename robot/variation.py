@@ -1,0 +1,93 @@
+"""A world under its seed: some things are moved first, then all of it is shifted and turned about ``view.target``.
+
+    variation: {shift [m], yaw_deg, things: {name: [m]}, stays: [names]}       half ranges of uniform draws
+
+Things move along the world's axes, redrawn until they are free of contact (with what they stand clear of as published:
+the published cans sink into their boards). The goal's thing takes the intended motion
+with it: the via points by their share in ``motion.follow`` (the first, where the hand starts, by none; the others, where
+nothing is said, by all). Seed 0 is the world as published; what ``stays`` stands with the robot.
+"""
+
+import copy
+
+import numpy as np
+
+from robot.standing import free
+from robot.thing import placed
+
+REDRAWS = 200
+
+
+def varied(data: dict) -> dict:
+    """The world as it is built: a copy, moved and turned under its seed. Raises ValueError where nothing fits."""
+    data = copy.deepcopy(data)
+    variation = data.get("variation") or {}
+    if not data.get("seed") or not variation:
+        return data
+    rng = np.random.default_rng(data["seed"])
+    shift = rng.uniform(-1, 1, 3) * variation.get("shift", [0, 0, 0])
+    yaw = rng.uniform(-1, 1) * variation.get("yaw_deg", 0)
+    _move_things(data, variation.get("things") or {}, rng)
+    return _turned(data, shift, yaw, variation.get("stays", []))
+
+
+def _move_things(data: dict, ranges: dict, rng) -> None:
+    things = {thing["name"]: thing for thing in data["objects"]}
+    before = {name: np.array(things[name]["position"], dtype=float) for name in ranges}
+    apart = {name: [o for o in data["objects"] if o["name"] != name and free(things[name], [o])] for name in ranges}
+    for _ in range(REDRAWS):
+        for name, half in ranges.items():
+            things[name]["position"] = (before[name] + rng.uniform(-1, 1, 3) * half).tolist()
+        if all(free(things[name], apart[name]) for name in ranges):
+            break
+    else:
+        raise ValueError(f"world {data['name']}: in {REDRAWS} draws {', '.join(ranges)} never stood free; make variation.things smaller")
+    goal = (data.get("goal") or {}).get("object")
+    if goal in ranges and data.get("motion"):
+        _follow(data["motion"], np.subtract(things[goal]["position"], before[goal]))
+
+
+def _follow(motion: dict, moved) -> None:
+    shares = motion.get("follow") or [0.0] + [1.0] * (len(motion["via"]) - 1)
+    motion["via"] = [(np.array(point) + share * moved).tolist() for point, share in zip(motion["via"], shares, strict=True)]
+
+
+def _turned(data: dict, shift, yaw: float, stays) -> dict:
+    """Everything but what stays, and where the hand starts, turned by ``yaw`` [deg] and shifted [m]."""
+    centre = np.array(data["view"]["target"], dtype=float)
+    turn = placed([0, 0, 0], [0, 0, yaw])[:3, :3]
+
+    def moved(point):
+        return (turn @ (np.array(point, dtype=float) - centre) + centre + shift).tolist()
+
+    for thing in (*(t for t in data["objects"] if t["name"] not in stays), *data.get("tags", [])):
+        thing["position"] = moved(thing["position"])
+        roll, pitch, old = thing.get("rpy_deg", [0, 0, 0])
+        thing["rpy_deg"] = [roll, pitch, old + float(yaw)]
+    for joint in data.get("joints", []):
+        joint["axis"] = (turn @ joint["axis"]).tolist()
+        if "at" in joint:
+            joint["at"] = moved(joint["at"])
+    for view in (*data.get("sketch_views", []), *([data["film"]] if data.get("film") else [])):
+        view["eye"], view["target"] = moved(view["eye"]), moved(view["target"])
+    if data.get("motion"):
+        via = data["motion"]["via"]
+        data["motion"]["via"] = [via[0], *map(moved, via[1:])]
+    if data.get("goal"):
+        data["goal"]["approach"] = (turn @ data["goal"]["approach"]).tolist()
+    for condition in (data.get("success") or {}).get("reached", []):
+        condition["position"] = moved(condition["position"])
+    for condition in (data.get("success") or {}).get("below", []):
+        condition["height"] += float(shift[2])
+    if "azimuth_deg" in data["view"]:
+        data["view"]["azimuth_deg"] = [angle + float(yaw) for angle in data["view"]["azimuth_deg"]]
+    data["view"]["target"] = moved(centre)
+    return data
+
+
+def pre_grasp(data: dict) -> np.ndarray:
+    """Where the tip ends (3,) [m]: before the goal's object along the approach."""
+    goal = data["goal"]
+    (thing,) = (thing for thing in data["objects"] if thing["name"] == goal["object"])
+    approach = np.array(goal["approach"], dtype=float)
+    return np.array(thing["position"]) - goal["distance"] * approach / np.linalg.norm(approach)
