@@ -136,6 +136,12 @@ def sketch(job: Job, out: Path) -> dict:
     if job.cfg.user.kind == "files":
         sketches = sketch_files.load(_stored_sketches(job))
         held_out, intended = [], {}
+    elif job.cfg.user.kind == "page":
+        from conf.page import draw_by_hand
+
+        name, sketches = draw_by_hand(job)
+        held_out, intended = [], {}
+        log.info("  the skill %s", name)
     else:
         from conf.seen import draw
 
@@ -235,7 +241,7 @@ STAGES = (
           settings=("scene.colmap", "scene.frame", *SCENE), inputs=lambda job: _fingerprint(job), shared=True),
     Stage("train", train, ("field.pt", "held_out"), ("reconstruct",), ("scene.fit", *SCENE), shared=True, resumable=True),
     Stage("render", render, ("views",), ("train",), ("scene.views", "world.sketch_views"), shared=True, resumable=True),
-    Stage("sketch", sketch, ("sketches.json", "held_out.json", "intended.npz"), ("render",), ("user", "world", "seed")),
+    Stage("sketch", sketch, ("sketches.json", "held_out.json", "intended.npz"), ("render",), ("user", "world", "seed"), inputs=lambda job: _asked(job)),
     Stage("fit", fit, ("skill.npz", "densities.npz"), ("sketch",), ("teach", "seed")),
     Stage("plan", plan, ("plan.npz", "trajectory.csv", "joint_trajectory.json"), ("fit",),
           ("robot.arm", "robot.planner", "world", "seed")),
@@ -289,7 +295,8 @@ def _take_over(stage: Stage, job: Job, records: dict[str, Record]) -> None:
 def _wanted(job: Job) -> list[str]:
     known = (*NAMES, "report")
     if job.cfg.stages is None:
-        return ["reconstruct", "train", "render"] if job.cfg.photos else list(known)
+        drawn = ["sketch", "fit"] if job.cfg.user.kind == "page" else []
+        return ["reconstruct", "train", "render", *drawn] if job.cfg.photos else list(known)
     unknown = [name for name in job.cfg.stages if name not in known]
     if unknown or not job.cfg.stages:
         raise ValueError(f"unknown stage {', '.join(unknown) or '(none given)'}; there are {', '.join(known)}")
@@ -352,6 +359,11 @@ def _stored_sketches(job: Job) -> Path:
     """user.file: a name in the capture's sketches folder, or a path."""
     named = job.capture / "sketches" / f"{job.cfg.user.file}.json"
     return named if named.exists() else Path(job.cfg.user.file)
+
+
+def _asked(job: Job) -> int | None:
+    """A person is asked anew each time; what the others draw follows from settings."""
+    return time.time_ns() if job.cfg.user.kind == "page" else None
 
 
 def _depths(job: Job, sketches) -> dict:

@@ -1,0 +1,414 @@
+"""The page's server: a Starlette app over the files of a capture folder.
+
+    /                         the page                        /static/...             its modules
+    /api/scene                views, cameras, what is possible /pictures/<view>?small  a view's picture
+    /api/points               sparse points for the 3D view    /api/render             any viewpoint, by the field
+    /api/suggest              a viewpoint for the next sketch
+    /api/skills               names                           /api/skills/<name>      GET, PUT, DELETE one, by revision (ETag)
+    /api/skills/<name>/fit    the motion that it draws        .../plan, .../perform, .../video, .../done
+    /live?skill=<name>        WebSocket: progress, and that another page changed the skill
+
+Nothing is kept but in files (store.py). Every answer to a bad request is JSON, {"error": sentence, "field": what is at fault}.
+What lies downstream of teach (rendering, planning, performing) comes as functions of a Worker; without them it is off.
+"""
+
+import asyncio
+import hashlib
+import io
+import json
+import logging
+import re
+from collections.abc import Callable, Mapping
+from contextlib import asynccontextmanager
+from dataclasses import dataclass, field
+from functools import partial, wraps
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+from starlette.applications import Starlette
+from starlette.concurrency import run_in_threadpool
+from starlette.exceptions import HTTPException
+from starlette.middleware import Middleware
+from starlette.requests import ClientDisconnect, Request
+from starlette.responses import FileResponse, Response
+from starlette.routing import Mount, Route, WebSocketRoute
+from starlette.staticfiles import StaticFiles
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from scene.camera import Camera
+from scene.files import replacing
+from teach.page.guard import LOOPBACK, Guard
+from teach.page.store import MAX_BODY, Conflict, Store, checked_name, parse, revision_of
+from teach.page.worker import Refused, Superseded, Worker
+from teach.schema import SCHEMA, validate
+from teach.sketch import SketchError, check
+
+log = logging.getLogger("scene2skill")
+STATIC = Path(__file__).parent / "static"
+SMALL = 320
+"""Longer side of a small picture [px]."""
+LARGEST = 1600
+"""Longer side of a rendered picture [px]."""
+
+_CAMERA = SCHEMA["properties"]["sketches"]["items"]["properties"]["camera"]
+RENDER = {"type": "object", "required": ["camera", "tab"], "properties": {"camera": _CAMERA, "tab": {"type": "string"}, "keep": {"enum": [1]}}}
+SUGGEST = {"type": "object", "required": ["skill", "tab"], "properties": {"skill": {"type": "string"}, "tab": {"type": "string"}}}
+WORK = {"type": "object", "required": ["tab"], "properties": {"tab": {"type": "string"}}}
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """A view of the scene: its picture's file and its camera. kind: "rendered" or "photograph"."""
+
+    path: Path
+    camera: Camera
+    kind: str
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """What is drawn on. views: by name. points: (N, 3) [m] and colours (N, 3) uint8. unit: of lengths. surfaces: views whose
+    depth is known. target: (3,) where one looks."""
+
+    title: str
+    views: Mapping[str, Picture]
+    points: np.ndarray
+    colours: np.ndarray
+    unit: str = "m"
+    surfaces: tuple[str, ...] = ()
+    target: tuple[float, ...] = (0.0, 0.0, 0.0)
+
+
+@dataclass(eq=False)
+class Page:
+    """What a request needs. works: which Worker does "fit", "render", "suggest", "plan", "perform"; a missing one is off.
+    finished(name, sketches) is called when a person is done with a skill; None: there is nothing to be done with it."""
+
+    store: Store
+    scene: Scene
+    works: Mapping[str, Worker] = field(default_factory=dict)
+    finished: Callable | None = None
+    sockets: dict[str, set[WebSocket]] = field(default_factory=dict)
+    telling: set = field(default_factory=set)
+
+    def tell(self, skill: str, message: dict) -> None:
+        """Tell all pages that show a skill."""
+        for socket in tuple(self.sockets.get(skill, ())):
+            task = asyncio.ensure_future(_send(socket, message))
+            self.telling.add(task)
+            task.add_done_callback(self.telling.discard)
+
+    def file(self, folder: str, name: str, ending: str) -> Path:
+        """Where what was made of a skill is kept."""
+        folder = self.store.folder / folder
+        folder.mkdir(parents=True, exist_ok=True)
+        return folder / f"{name}{ending}"
+
+
+class Wrong(Exception):
+    """A request that cannot be met: status, sentence, the field at fault."""
+
+    def __init__(self, status: int, error: str, at: str | None = None, **more):
+        super().__init__(error)
+        self.status, self.body = status, {"error": error, "field": at or _field(error)} | more
+
+
+def create(page: Page, hosts=LOOPBACK, token: str | None = None) -> Starlette:
+    """The app. hosts: names of this machine (None: any, with a token). token: what a browser must show."""
+
+    @asynccontextmanager
+    async def lifespan(app):
+        for worker in set(page.works.values()):
+            worker.start()
+        yield
+        for worker in set(page.works.values()):
+            worker.close()
+
+    one = "/api/skills/{name}"
+    routes = [
+        Route("/", partial(_file, STATIC / "index.html")),
+        Mount("/static", _Fresh(directory=STATIC)),
+        Route("/pictures/{view}", _answering(_picture)),
+        Route("/api/scene", _answering(_scene)),
+        Route("/api/points", _answering(_points)),
+        Route("/api/render", _answering(_render), methods=["POST"]),
+        Route("/api/suggest", _answering(_suggest), methods=["POST"]),
+        Route("/api/skills", _answering(_names)),
+        Route(one, _answering(_read), methods=["GET"]),
+        Route(one, _answering(_write), methods=["PUT"]),
+        Route(one, _answering(_remove), methods=["DELETE"]),
+        Route(f"{one}/fit", _answering(_fit), methods=["POST"]),
+        Route(f"{one}/plan", _answering(_plan), methods=["POST"]),
+        Route(f"{one}/perform", _answering(_perform), methods=["POST"]),
+        Route(f"{one}/video", _answering(_video)),
+        Route(f"{one}/done", _answering(_done), methods=["POST"]),
+        WebSocketRoute("/live", _live),
+    ]
+    guard = Middleware(Guard, hosts=hosts, token=token, max_body=MAX_BODY)
+    app = Starlette(routes=routes, middleware=[guard], lifespan=lifespan, exception_handlers={HTTPException: _not_found})
+    app.state.page = page
+    return app
+
+
+class _Fresh(StaticFiles):
+    """Modules that belong together are never mixed with older ones from a cache."""
+
+    def file_response(self, *arguments, **settings):
+        response = super().file_response(*arguments, **settings)
+        response.headers["cache-control"] = "no-cache"
+        return response
+
+
+async def _file(path: Path, request: Request) -> Response:
+    return FileResponse(path, headers={"cache-control": "no-cache"})
+
+
+def _answering(handler):
+    """Errors that a caller caused become answers in JSON."""
+
+    @wraps(handler)
+    async def handle(request: Request) -> Response:
+        try:
+            return await handler(request.app.state.page, request)
+        except Wrong as wrong:
+            return _json(wrong.body, wrong.status)
+        except Conflict as conflict:
+            return _json({"error": str(conflict), "field": "If-Match", "revision": conflict.revision}, 412)
+        except Superseded:
+            return _json({"error": "a newer request took its place", "field": "tab"}, 409)
+        except FileNotFoundError as error:
+            return _json({"error": str(error), "field": "name"}, 404)
+        except (SketchError, Refused) as error:
+            return _json({"error": str(error), "field": _field(str(error))}, 422)
+        except ClientDisconnect:
+            return _json({"error": "the page went away", "field": None}, 400)
+
+    return handle
+
+
+def _json(value, status: int = 200, **headers) -> Response:
+    # ASCII only: a lone surrogate in a name has no UTF-8
+    return Response(json.dumps(value, allow_nan=False), status, headers, "application/json")
+
+
+async def _not_found(request: Request, error: HTTPException) -> Response:
+    return _json({"error": f"{request.method} {request.url.path[:100]}: {error.detail}", "field": "path"}, error.status_code)
+
+
+def _field(message: str) -> str | None:
+    """The path that a message of teach.schema begins with, such as sketches[0].view."""
+    found = re.match(r"[A-Za-z_]\w*(?:[.\[][\w.\[\]]*)?(?=:? )", message)
+    return found[0] if found and ("[" in found[0] or found[0] in ("name", "sketches", "schema", "version", "camera", "tab", "skill", "keep")) else None
+
+
+async def _body(request: Request, schema: dict) -> dict:
+    """The request's JSON, checked."""
+    try:
+        value = json.loads((await request.body()).decode("utf-8"))
+    except (ValueError, RecursionError) as error:
+        raise Wrong(400, f"the body is not JSON ({str(error)[:100]})", "body") from None
+    try:
+        validate(value, schema, "")
+    except ValueError as error:
+        raise Wrong(422, str(error).replace("the file", "the body")) from None
+    return value
+
+
+def _camera(plain: dict) -> Camera:
+    try:
+        camera = Camera(**plain)
+    except ValueError as error:
+        raise Wrong(422, f"camera: {error}", "camera") from None
+    if not (8 <= camera.width <= LARGEST and 8 <= camera.height <= LARGEST):
+        raise Wrong(422, f"camera.width and height must be from 8 to {LARGEST} px", "camera.width")
+    if not (1 <= min(camera.K[0, 0], camera.K[1, 1]) and np.abs(camera.K).max() <= 1e6 and (camera.K[2] == (0, 0, 1)).all()):
+        raise Wrong(422, "camera.K has no usable focal length [px]", "camera.K")
+    if np.abs(camera.world_from_camera).max() > 1e6:
+        raise Wrong(422, "camera.world_from_camera is too far away", "camera.world_from_camera")
+    return camera
+
+
+def _plain(camera: Camera) -> dict:
+    return {"K": camera.K.tolist(), "world_from_camera": camera.world_from_camera.tolist(), "width": camera.width, "height": camera.height}
+
+
+def _name(request: Request) -> str:
+    return checked_name(request.path_params["name"])
+
+
+async def _scene(page: Page, request: Request) -> Response:
+    scene = page.scene
+    views = [{"name": name, "kind": view.kind, "camera": _plain(view.camera)} for name, view in scene.views.items()]
+    can = {name: name in page.works for name in ("fit", "render", "suggest", "plan", "perform")} | {"finish": page.finished is not None}
+    about = {"title": scene.title, "unit": scene.unit, "surfaces": list(scene.surfaces), "target": list(scene.target)}
+    return _json(about | {"views": views, "can": can})
+
+
+async def _points(page: Page, request: Request) -> Response:
+    return _json({"points": page.scene.points.round(4).tolist(), "colours": page.scene.colours.tolist()})
+
+
+async def _picture(page: Page, request: Request) -> Response:
+    view = page.scene.views.get(request.path_params["view"])
+    if view is None or not view.path.is_file():
+        raise Wrong(404, "there is no view of this name", "view")
+    if "small" not in request.query_params:
+        return FileResponse(view.path, headers={"cache-control": "no-cache"})
+    return Response(await run_in_threadpool(_small, view.path), media_type="image/jpeg", headers={"cache-control": "max-age=300"})
+
+
+def _small(path: Path) -> bytes:
+    with Image.open(path) as image:
+        image = image.convert("RGB")
+        image.thumbnail((SMALL, SMALL))
+        return _jpeg(image)
+
+
+def _jpeg(image: Image.Image) -> bytes:
+    buffer = io.BytesIO()
+    image.save(buffer, "JPEG", quality=92, subsampling=0)
+    return buffer.getvalue()
+
+
+async def _render(page: Page, request: Request) -> Response:
+    """What the field shows from a camera. keep: the picture is drawn on, so it is wanted again."""
+    asked = await _body(request, RENDER)
+    camera = _camera(asked["camera"])
+    kept = page.file(".pictures", hashlib.sha256(json.dumps(_plain(camera)).encode()).hexdigest()[:24], ".jpg")
+    if kept.is_file():
+        return FileResponse(kept, media_type="image/jpeg")
+    image = await _work(page, request, "render", asked["tab"], None, camera)
+    picture = await run_in_threadpool(_jpeg, Image.fromarray(image))
+    if asked.get("keep"):
+        with replacing(kept) as temporary:
+            temporary.write_bytes(picture)
+    return Response(picture, media_type="image/jpeg")
+
+
+async def _suggest(page: Page, request: Request) -> Response:
+    """A camera for the next sketch, and why."""
+    asked = await _body(request, SUGGEST)
+    sketches = await run_in_threadpool(lambda: parse(page.store.read(checked_name(asked["skill"]))))
+    camera, sentence = await _work(page, request, "suggest", asked["tab"], asked["skill"], sketches)
+    return _json({"camera": _plain(camera), "sentence": sentence})
+
+
+async def _names(page: Page, request: Request) -> Response:
+    return _json({"skills": await run_in_threadpool(page.store.names)})
+
+
+async def _read(page: Page, request: Request) -> Response:
+    body = await run_in_threadpool(page.store.read, _name(request))
+    return Response(body, media_type="application/json", headers={"etag": f'"{revision_of(body)}"', "cache-control": "no-store"})
+
+
+def _seen(request: Request) -> str | None:
+    """The revision that the writer saw; None where they expect no such skill."""
+    match, none = request.headers.get("if-match"), request.headers.get("if-none-match")
+    if (match is None) == (none is None) or (none is not None and none != "*"):
+        raise Wrong(428, 'say If-Match: "<revision>" of what you saw, or If-None-Match: * for a new skill', "If-Match")
+    return None if match is None else match.strip('" ')
+
+
+async def _write(page: Page, request: Request) -> Response:
+    name, seen = _name(request), _seen(request)
+    revision = await run_in_threadpool(page.store.write, name, await request.body(), seen)
+    page.tell(name, {"type": "changed", "revision": revision, "tab": request.headers.get("x-tab", "")[:60]})
+    return _json({"revision": revision}, 201 if seen is None else 200, etag=f'"{revision}"')
+
+
+async def _remove(page: Page, request: Request) -> Response:
+    name = _name(request)
+    await run_in_threadpool(page.store.remove, name, _seen(request))
+    page.tell(name, {"type": "changed", "revision": None, "tab": request.headers.get("x-tab", "")[:60]})
+    return _json({"removed": name})
+
+
+async def _work(page: Page, request: Request, work: str, tab: str, skill: str | None, *arguments):
+    """Have a worker do it; told of it are the pages of the skill, and a page that leaves stops it."""
+    if work not in page.works:
+        raise Wrong(404, f"{work} is off: this page was opened without it", "path")
+    key, worker = f"{tab}:{'robot' if work in ('plan', 'perform') else work}", page.works[work]
+    told = lambda share, words: page.tell(skill, {"type": "progress", "work": work, "share": share, "words": words, "tab": tab})
+    leaving = asyncio.ensure_future(_left(request, worker, key))
+    try:
+        return await worker.do(key, work, *arguments, told=told)
+    finally:
+        leaving.cancel()
+
+
+async def _left(request: Request, worker: Worker, key: str) -> None:
+    while not await request.is_disconnected():
+        await asyncio.sleep(0.1)
+    worker.drop(key)
+
+
+async def _fit(page: Page, request: Request) -> Response:
+    name, asked = _name(request), await _body(request, WORK)
+    body = await run_in_threadpool(page.store.read, name)
+    sketches = await run_in_threadpool(parse, body)
+    check(sketches, page.scene.surfaces)
+    learned = await _work(page, request, "fit", asked["tab"], name, page.store.folder / f"{name}.json", page.file(".learned", name, ".npz"))
+    return _json(learned)
+
+
+async def _plan(page: Page, request: Request) -> Response:
+    name, asked = _name(request), await _body(request, WORK)
+    skill = page.file(".learned", name, ".npz")
+    if not skill.is_file():
+        raise Wrong(409, "there is no motion to check yet: draw it on two views", "name")
+    return _json(await _work(page, request, "plan", asked["tab"], name, skill, page.file(".learned", name, ".plan.npz")))
+
+
+async def _perform(page: Page, request: Request) -> Response:
+    name, asked = _name(request), await _body(request, WORK)
+    plan = page.file(".learned", name, ".plan.npz")
+    if not plan.is_file():
+        raise Wrong(409, "there is no checked motion to perform yet: check it first", "name")
+    return _json(await _work(page, request, "perform", asked["tab"], name, plan, page.file(".learned", name, ".mp4")))
+
+
+async def _video(page: Page, request: Request) -> Response:
+    video = page.file(".learned", _name(request), ".mp4")
+    if not video.is_file():
+        raise Wrong(404, "this skill has not been performed", "name")
+    return FileResponse(video, media_type="video/mp4", headers={"cache-control": "no-store"})
+
+
+async def _done(page: Page, request: Request) -> Response:
+    """The person is content: whoever opened the page goes on with this skill."""
+    name = _name(request)
+    await _body(request, WORK)
+    sketches = await run_in_threadpool(lambda: parse(page.store.read(name)))
+    check(sketches, page.scene.surfaces)
+    if page.finished is None:
+        raise Wrong(404, "nothing waits for this skill: it is saved", "path")
+    page.finished(name, sketches)
+    return _json({"done": name})
+
+
+async def _live(socket: WebSocket) -> None:
+    page: Page = socket.app.state.page
+    try:
+        name = checked_name(socket.query_params.get("skill", ""))
+    except SketchError:
+        return await socket.close(4000)
+    await socket.accept()
+    page.sockets.setdefault(name, set()).add(socket)
+    try:
+        while (await socket.receive())["type"] != "websocket.disconnect":
+            pass
+    except WebSocketDisconnect:
+        pass
+    finally:
+        page.sockets[name].discard(socket)
+        if not page.sockets[name]:
+            del page.sockets[name]
+
+
+async def _send(socket: WebSocket, message: dict) -> None:
+    try:
+        await socket.send_json(message)
+    except (WebSocketDisconnect, RuntimeError):  # it left in between
+        pass
