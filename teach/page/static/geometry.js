@@ -138,6 +138,8 @@ export function matched(a, b, F, n = 48, stiffness = 0.15) {
   return rows.reverse()
 }
 
+const SHORTEST = 0.02 // of a stroke: less of it apart is how strokes begin and end
+
 /** The longest stretch of matched rows that are further apart than tolerance [px]: {from, to} fractions of stroke b, and the
  *  most [px]; null where strokes agree. */
 export function disagreement(rows, tolerance) {
@@ -147,7 +149,7 @@ export function disagreement(rows, tolerance) {
     if (bad && start < 0) start = i
     if (!bad && start >= 0) {
       const part = rows.slice(start, i), found = {from: part[0].b, to: part[part.length - 1].b, most: Math.max(...part.map(r => r.off))}
-      if (!best || found.to - found.from > best.to - best.from) best = found
+      if (found.to - found.from > SHORTEST && (!best || found.to - found.from > best.to - best.from)) best = found
       start = -1
     }
   }
