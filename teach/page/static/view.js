@@ -27,6 +27,7 @@ export class View {
     this.waypoints = []
     new ResizeObserver(() => this.resize()).observe(this.frame)
     for (const type of ['pointerdown', 'pointermove', 'pointerup', 'pointercancel', 'lostpointercapture']) this.frame.addEventListener(type, event => this[type](event))
+    this.frame.addEventListener('click', () => { if (page.tool === 'mark' && this.marking) page.offerMarks(this) })
     this.frame.addEventListener('contextmenu', event => event.preventDefault())
     this.frame.addEventListener('wheel', event => this.wheel(event), {passive: false})
     this.frame.addEventListener('keydown', event => this.keydown(event))
@@ -358,7 +359,6 @@ export class View {
     const found = this.under(p, marking ? 30 : 14)
     this.page.select(found && {view: this.name, stroke: found.stroke})
     this.marking = found && found.stroke.kind !== 'keep_out' ? found : null
-    if (marking && this.marking) this.page.offerMarks(this)
     this.paintHelp()
   }
 
