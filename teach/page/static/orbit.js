@@ -15,7 +15,7 @@ export function choosePicture(page, view) {
   const dialog = find('pictures'), list = find('picture-list')
   const drawn = name => page.document.strokes(name).length
   list.replaceChildren(...page.allViews.map(v => {
-    const button = Object.assign(document.createElement('button'), {type: 'button', className: 'picture'})
+    const button = Object.assign(document.createElement('button'), {type: 'button', className: 'choice'})
     if (v.kind !== 'free') button.append(Object.assign(new Image(), {src: `/pictures/${encodeURIComponent(v.name)}?small`, alt: '', loading: 'lazy'}))
     button.append(Object.assign(document.createElement('span'), {textContent: v.name}))
     if (drawn(v.name)) button.append(Object.assign(document.createElement('small'), {textContent: `${drawn(v.name)} drawn`}))

@@ -12,7 +12,7 @@ export class Scene3D {
     this.target = page.scene.target
     const first = page.scene.views[0]
     this.place = first ? around(first.camera, this.target) : {azimuth: -2, elevation: 0.6, distance: 2}
-    this.place = {...this.place, azimuth: this.place.azimuth + 0.5, distance: this.place.distance * 0.9}
+    this.place = {...this.place, azimuth: this.place.azimuth + 0.5, distance: this.place.distance * 1.3}
     new ResizeObserver(() => this.resize()).observe(canvas)
     canvas.addEventListener('pointerdown', event => { canvas.setPointerCapture(event.pointerId); this.grip = [event.clientX, event.clientY] })
     canvas.addEventListener('pointermove', event => this.drag(event))
@@ -62,7 +62,7 @@ export class Scene3D {
     g.globalAlpha = 0.85
     for (const [point, colour] of this.points) {
       const here = project(camera, point)
-      if (here) { g.fillStyle = colour; g.fillRect(here[0], here[1], 1.6 * r, 1.6 * r) }
+      if (here) { g.fillStyle = colour; g.fillRect(here[0], here[1], 2 * r, 2 * r) }
     }
     g.globalAlpha = 1
     for (const view of page.views) if (view.view) this.paintCamera(g, camera, view, r)
