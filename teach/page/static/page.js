@@ -129,10 +129,11 @@ class Page {
 
   // Pictures
 
-  /** All views that there are: the scene's, and viewpoints that this skill was drawn on. */
+  /** All views that there are: the scene's, and those that this skill was drawn on with another camera. */
   get allViews() {
-    const own = this.document.sketches.filter(s => !this.scene.views.some(v => v.name === s.view)).map(s => ({name: s.view, camera: s.camera, kind: 'free'}))
-    return [...this.scene.views, ...own]
+    const same = (v, s) => v.name === s.view && JSON.stringify(v.camera) === JSON.stringify(s.camera)
+    const own = this.document.sketches.filter(s => !this.scene.views.some(v => same(v, s))).map(s => ({name: s.view, camera: s.camera, kind: 'free'}))
+    return [...this.scene.views.filter(v => !own.some(o => o.name === v.name)), ...own]
   }
 
   async showPictures() {

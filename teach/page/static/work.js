@@ -145,7 +145,7 @@ export class Work {
     await page.saver.running
     try {
       await ask(`${skillPath(page.name)}/done`, {method: 'POST', body: {tab}})
-      page.finished = true
+      page.closeLive()
       find('farewell').showModal()
     } catch (error) { page.say(sentence(unknown(error))) }
   }
