@@ -302,3 +302,67 @@ def test_a_server_killed_between_strokes_loses_none(visit, tmp_path):
         assert len(server.strokes("killed")) == 9  # what a closed page could not save, the next one does
     finally:
         server.kill()
+
+
+@pytest.mark.slow
+def test_fifty_kills_at_any_moment_lose_no_finished_stroke_and_break_no_file(visit, tmp_path):
+    server = Server(tmp_path / "killed")
+    try:
+        tab, rng = visit("often", at=server), np.random.default_rng(1)
+        for k in range(50):
+            draw(tab, k % 2, LINE + [0, k])
+            time.sleep(rng.uniform(0, 0.06))
+            server.kill()
+            for path in (server.folder / "sketches").glob("*.json"):
+                load(path)
+            server.start()
+        saved(tab)
+        tab.wait_for_selector("#saving[data-state=saved]", timeout=20000)
+        assert len(server.strokes("often")) == 50
+    finally:
+        server.kill()
+
+
+@pytest.mark.slow
+def test_twenty_tabs_drawing_at_once_mix_nothing(visit, server):
+    first = visit("tab 0")
+    tabs = [first, *(visit(f"tab {k}", context=first.context) for k in range(1, 20))]
+    for _ in range(3):
+        for k, tab in enumerate(tabs):  # saved by the page's own way, all at once: a background tab gets no frames to draw in
+            tab.evaluate(f"page.document.addView(page.views[0].name, page.views[0].view.camera), page.document.add(page.views[0].name, {{points: [[{k}, 1], [{k}, 9]], times: [0, 1], demonstration: 0, kind: 'motion'}})")
+    for tab in tabs:
+        saved(tab)
+    for k in range(20):
+        strokes = server.strokes(f"tab {k}")
+        assert len(strokes) == 3 and all((stroke.points[:, 0] == k).all() for stroke in strokes)
+
+
+def test_keys_reach_everything_all_is_named_and_nothing_is_cut_off_at_twice_the_size(visit):
+    tab = visit("basics")
+    reached = set()
+    for _ in range(60):
+        tab.keyboard.press("Tab")
+        reached.add(tab.evaluate("document.activeElement.id || document.activeElement.title || document.activeElement.className"))
+    shown = "[...document.querySelectorAll('button, select, input, canvas[tabindex], .frame')].filter(e => e.checkVisibility() && !e.disabled)"
+    assert {*tab.evaluate(f"{shown}.map(e => e.id || e.title || e.className)")} <= reached
+    assert tab.evaluate(f"{shown}.filter(e => !(e.getAttribute('aria-label') || e.textContent.trim() || e.labels?.length)).map(e => e.outerHTML)") == []
+    for width, height in ((640, 400), (768, 1024)):
+        tab.set_viewport_size({"width": width, "height": height})
+        assert tab.evaluate("document.documentElement.scrollWidth - innerWidth") <= 0
+        assert tab.evaluate("page.views.map(v => v.frame.clientWidth)")[0] >= 340
+
+
+def test_where_views_contradict_each_other_is_said_and_help_follows_the_pen(visit):
+    tab = visit("apart")
+    draw(tab, 0, motion(0))
+    bent = np.array(motion(1))
+    bent[12:20, 1] -= 70
+    first, *rest = places(tab, 1, bent)
+    tab.mouse.move(*first)
+    tab.mouse.down()
+    for place in rest:
+        tab.mouse.move(*place)
+    assert tab.evaluate("!!page.views[1].helper && page.views[1].helper.s > 0")
+    tab.mouse.up()
+    (found,) = tab.evaluate("page.views[1].disagreements().map(d => ({...d.part, other: d.other}))")
+    assert found["other"] == "left" and found["most"] > 15 and 0.2 < found["from"] < found["to"] < 0.9
