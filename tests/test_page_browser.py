@@ -8,14 +8,19 @@ import subprocess
 import sys
 import time
 import urllib.request
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from teach.sketch import load
 
 ROOT = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT / "tests" / "page"))
+from serve import CORNER, VIEWS  # noqa: E402
+
 CHROMIUM = "/usr/bin/chromium"
 pytestmark = pytest.mark.skipif(not Path(CHROMIUM).exists(), reason="no Chromium on this machine")
 
@@ -115,9 +120,6 @@ LINE = np.column_stack([np.linspace(150, 480, 25), 260 + 60 * np.sin(np.linspace
 
 
 def motion(view: int, shift=0.0) -> np.ndarray:
-    sys.path.insert(0, str(ROOT / "tests" / "page"))
-    from serve import VIEWS
-
     t = np.linspace(0, 1, 30)[:, None]
     curve = np.hstack([0.1 * np.sin(3 * t), 0.5 * t - 0.25, 0.05 + 0.5 * t * (1 - t)])
     return list(VIEWS.values())[view].project(curve) + shift
@@ -154,6 +156,20 @@ def test_samples_are_raw_pixels_of_the_picture_whatever_the_zoom_and_the_screen(
     assert np.abs(second.points[[0, -1]] - inside[[0, -1]]).max() < 0.3
     assert first.pointer == "mouse" and len(first.points) >= 25 and (np.diff(first.times) >= 0).all() and first.duration > 0
     assert (first.demonstration, second.demonstration) == (0, 1)
+
+
+def test_what_is_under_the_pointer_is_that_pixel_of_the_picture_whatever_the_zoom(visit):
+    tab = visit("under")
+    right = int(tab.locator(".frame").nth(1).bounding_box()["x"])
+    for zoom in (1, 4):
+        tab.evaluate(f"page.views[0].zoomBy({zoom}, [560, 430])")
+        tab.wait_for_timeout(100)
+        shot = np.array(Image.open(BytesIO(tab.screenshot())).convert("RGB"), dtype=int)[:, :right]
+        (x, y), scale = places(tab, 0, [CORNER])[0], tab.evaluate("page.views[0].zoom.scale")
+        red = (shot[..., 0] > 200) & (shot[..., 1:].max(axis=-1) < 60)
+        rows, columns = np.nonzero(red)
+        assert np.abs([columns.mean() + 0.5 - x, rows.mean() + 0.5 - y]).max() < 1.0
+        assert np.sqrt(red.sum()) == pytest.approx(8 * scale, rel=0.15)
 
 
 def test_undo_redo_erase_duplicate_and_clear_by_key_and_a_reload_shows_the_same(visit, server):

@@ -18,6 +18,9 @@ VIEWS = {
     for name, eye in {"left": [1.0, 0.7, 0.8], "right": [0.9, -0.8, 0.9], "above": [0.4, 0.0, 1.5]}.items()
 }
 
+CORNER = (600, 460)
+"""A red place [px] near a corner of each picture."""
+
 
 def learning() -> dict:
     from teach.density import Kernels
@@ -57,6 +60,7 @@ def scene(folder: Path) -> Scene:
         for x in grid:
             for line in (np.array([[x, -0.5, 0], [x, 0.5, 0]]), np.array([[-0.5, x, 0], [0.5, x, 0]])):
                 draw.line([tuple(p) for p in camera.project(line)], fill=(150, 138, 120), width=1)
+        draw.rectangle([*(np.array(CORNER) - 4), *(np.array(CORNER) + 3)], fill=(255, 0, 0))
         image.save(folder / f"{name}.png")
     points = np.random.default_rng(0).uniform([-0.5, -0.5, 0], [0.5, 0.5, 0.01], (400, 3))
     views = {name: Picture(folder / f"{name}.png", camera, "rendered") for name, camera in VIEWS.items()}
