@@ -68,7 +68,7 @@ def _shown(host: str) -> str:
 def scene_of(job: Job):
     """The views of a capture folder: those rendered to sketch on first, then the photographs."""
     from scene.views import load_depths
-    from teach.page.server import Picture, Scene
+    from teach.page.scene import Picture, Scene
 
     rendered, photographs = load_cameras(job.capture / "views"), load_cameras(job.capture)
     views = {path.stem: Picture(path, camera, "rendered") for path, camera in rendered.items()}

@@ -16,68 +16,34 @@ import asyncio
 import hashlib
 import io
 import json
-import logging
-import re
 from collections.abc import Callable, Mapping
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
-from functools import partial, wraps
+from functools import partial
 from pathlib import Path
 
-import numpy as np
 from PIL import Image
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
 from starlette.exceptions import HTTPException
 from starlette.middleware import Middleware
-from starlette.requests import ClientDisconnect, Request
+from starlette.requests import Request
 from starlette.responses import FileResponse, Response
 from starlette.routing import Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from scene.camera import Camera
 from scene.files import replacing
+from teach.page.asked import RENDER, SUGGEST, WORK, Wrong, answering, body_of, camera_of, json_answer, name_of, not_found, plain_camera
 from teach.page.guard import LOOPBACK, Guard
-from teach.page.store import MAX_BODY, Conflict, Store, checked_name, parse, revision_of
-from teach.page.worker import Refused, Superseded, Worker
-from teach.schema import SCHEMA, validate
+from teach.page.scene import Scene
+from teach.page.store import MAX_BODY, Store, checked_name, parse, revision_of
+from teach.page.worker import Worker
 from teach.sketch import SketchError, check
 
-log = logging.getLogger("scene2skill")
 STATIC = Path(__file__).parent / "static"
 SMALL = 320
 """Longer side of a small picture [px]."""
-LARGEST = 1600
-"""Longer side of a rendered picture [px]."""
-
-_CAMERA = SCHEMA["properties"]["sketches"]["items"]["properties"]["camera"]
-RENDER = {"type": "object", "required": ["camera", "tab"], "properties": {"camera": _CAMERA, "tab": {"type": "string"}, "keep": {"enum": [1]}}}
-SUGGEST = {"type": "object", "required": ["skill", "tab"], "properties": {"skill": {"type": "string"}, "tab": {"type": "string"}}}
-WORK = {"type": "object", "required": ["tab"], "properties": {"tab": {"type": "string"}}}
-
-
-@dataclass(frozen=True, eq=False)
-class Picture:
-    """A view of the scene: its picture's file and its camera. kind: "rendered" or "photograph"."""
-
-    path: Path
-    camera: Camera
-    kind: str
-
-
-@dataclass(frozen=True, eq=False)
-class Scene:
-    """What is drawn on. views: by name. points: (N, 3) [m] and colours (N, 3) uint8. unit: of lengths. surfaces: views whose
-    depth is known. target: (3,) where one looks."""
-
-    title: str
-    views: Mapping[str, Picture]
-    points: np.ndarray
-    colours: np.ndarray
-    unit: str = "m"
-    surfaces: tuple[str, ...] = ()
-    target: tuple[float, ...] = (0.0, 0.0, 0.0)
 
 
 @dataclass(eq=False)
@@ -106,14 +72,6 @@ class Page:
         return folder / f"{name}{ending}"
 
 
-class Wrong(Exception):
-    """A request that cannot be met: status, sentence, the field at fault."""
-
-    def __init__(self, status: int, error: str, at: str | None = None, **more):
-        super().__init__(error)
-        self.status, self.body = status, {"error": error, "field": at or _field(error)} | more
-
-
 def create(page: Page, hosts=LOOPBACK, token: str | None = None) -> Starlette:
     """The app. hosts: names of this machine (None: any, with a token). token: what a browser must show."""
 
@@ -129,24 +87,24 @@ def create(page: Page, hosts=LOOPBACK, token: str | None = None) -> Starlette:
     routes = [
         Route("/", partial(_file, STATIC / "index.html")),
         Mount("/static", _Fresh(directory=STATIC)),
-        Route("/pictures/{view}", _answering(_picture)),
-        Route("/api/scene", _answering(_scene)),
-        Route("/api/points", _answering(_points)),
-        Route("/api/render", _answering(_render), methods=["POST"]),
-        Route("/api/suggest", _answering(_suggest), methods=["POST"]),
-        Route("/api/skills", _answering(_names)),
-        Route(one, _answering(_read), methods=["GET"]),
-        Route(one, _answering(_write), methods=["PUT"]),
-        Route(one, _answering(_remove), methods=["DELETE"]),
-        Route(f"{one}/fit", _answering(_fit), methods=["POST"]),
-        Route(f"{one}/plan", _answering(_plan), methods=["POST"]),
-        Route(f"{one}/perform", _answering(_perform), methods=["POST"]),
-        Route(f"{one}/video", _answering(_video)),
-        Route(f"{one}/done", _answering(_done), methods=["POST"]),
+        Route("/pictures/{view}", answering(_picture)),
+        Route("/api/scene", answering(_scene)),
+        Route("/api/points", answering(_points)),
+        Route("/api/render", answering(_render), methods=["POST"]),
+        Route("/api/suggest", answering(_suggest), methods=["POST"]),
+        Route("/api/skills", answering(_names)),
+        Route(one, answering(_read), methods=["GET"]),
+        Route(one, answering(_write), methods=["PUT"]),
+        Route(one, answering(_remove), methods=["DELETE"]),
+        Route(f"{one}/fit", answering(_fit), methods=["POST"]),
+        Route(f"{one}/plan", answering(_plan), methods=["POST"]),
+        Route(f"{one}/perform", answering(_perform), methods=["POST"]),
+        Route(f"{one}/video", answering(_video)),
+        Route(f"{one}/done", answering(_done), methods=["POST"]),
         WebSocketRoute("/live", _live),
     ]
     guard = Middleware(Guard, hosts=hosts, token=token, max_body=MAX_BODY)
-    app = Starlette(routes=routes, middleware=[guard], lifespan=lifespan, exception_handlers={HTTPException: _not_found})
+    app = Starlette(routes=routes, middleware=[guard], lifespan=lifespan, exception_handlers={HTTPException: not_found})
     app.state.page = page
     return app
 
@@ -164,89 +122,16 @@ async def _file(path: Path, request: Request) -> Response:
     return FileResponse(path, headers={"cache-control": "no-cache"})
 
 
-def _answering(handler):
-    """Errors that a caller caused become answers in JSON."""
-
-    @wraps(handler)
-    async def handle(request: Request) -> Response:
-        try:
-            return await handler(request.app.state.page, request)
-        except Wrong as wrong:
-            return _json(wrong.body, wrong.status)
-        except Conflict as conflict:
-            return _json({"error": str(conflict), "field": "If-Match", "revision": conflict.revision}, 412)
-        except Superseded:
-            return _json({"error": "a newer request took its place", "field": "tab"}, 409)
-        except FileNotFoundError as error:
-            return _json({"error": str(error), "field": "name"}, 404)
-        except (SketchError, Refused) as error:
-            return _json({"error": str(error), "field": _field(str(error))}, 422)
-        except ClientDisconnect:
-            return _json({"error": "the page went away", "field": None}, 400)
-
-    return handle
-
-
-def _json(value, status: int = 200, **headers) -> Response:
-    # ASCII only: a lone surrogate in a name has no UTF-8
-    return Response(json.dumps(value, allow_nan=False), status, headers, "application/json")
-
-
-async def _not_found(request: Request, error: HTTPException) -> Response:
-    return _json({"error": f"{request.method} {request.url.path[:100]}: {error.detail}", "field": "path"}, error.status_code)
-
-
-def _field(message: str) -> str | None:
-    """The path that a message of teach.schema begins with, such as sketches[0].view."""
-    found = re.match(r"[A-Za-z_]\w*(?:[.\[][\w.\[\]]*)?(?=:? )", message)
-    return found[0] if found and ("[" in found[0] or found[0] in ("name", "sketches", "schema", "version", "camera", "tab", "skill", "keep")) else None
-
-
-async def _body(request: Request, schema: dict) -> dict:
-    """The request's JSON, checked."""
-    try:
-        value = json.loads((await request.body()).decode("utf-8"))
-    except (ValueError, RecursionError) as error:
-        raise Wrong(400, f"the body is not JSON ({str(error)[:100]})", "body") from None
-    try:
-        validate(value, schema, "")
-    except ValueError as error:
-        raise Wrong(422, str(error).replace("the file", "the body")) from None
-    return value
-
-
-def _camera(plain: dict) -> Camera:
-    try:
-        camera = Camera(**plain)
-    except ValueError as error:
-        raise Wrong(422, f"camera: {error}", "camera") from None
-    if not (8 <= camera.width <= LARGEST and 8 <= camera.height <= LARGEST):
-        raise Wrong(422, f"camera.width and height must be from 8 to {LARGEST} px", "camera.width")
-    if not (1 <= min(camera.K[0, 0], camera.K[1, 1]) and np.abs(camera.K).max() <= 1e6 and (camera.K[2] == (0, 0, 1)).all()):
-        raise Wrong(422, "camera.K has no usable focal length [px]", "camera.K")
-    if np.abs(camera.world_from_camera).max() > 1e6:
-        raise Wrong(422, "camera.world_from_camera is too far away", "camera.world_from_camera")
-    return camera
-
-
-def _plain(camera: Camera) -> dict:
-    return {"K": camera.K.tolist(), "world_from_camera": camera.world_from_camera.tolist(), "width": camera.width, "height": camera.height}
-
-
-def _name(request: Request) -> str:
-    return checked_name(request.path_params["name"])
-
-
 async def _scene(page: Page, request: Request) -> Response:
     scene = page.scene
-    views = [{"name": name, "kind": view.kind, "camera": _plain(view.camera)} for name, view in scene.views.items()]
+    views = [{"name": name, "kind": view.kind, "camera": plain_camera(view.camera)} for name, view in scene.views.items()]
     can = {name: name in page.works for name in ("fit", "render", "suggest", "plan", "perform")} | {"finish": page.finished is not None}
     about = {"title": scene.title, "unit": scene.unit, "surfaces": list(scene.surfaces), "target": list(scene.target)}
-    return _json(about | {"views": views, "can": can})
+    return json_answer(about | {"views": views, "can": can})
 
 
 async def _points(page: Page, request: Request) -> Response:
-    return _json({"points": page.scene.points.round(4).tolist(), "colours": page.scene.colours.tolist()})
+    return json_answer({"points": page.scene.points.round(4).tolist(), "colours": page.scene.colours.tolist()})
 
 
 async def _picture(page: Page, request: Request) -> Response:
@@ -273,9 +158,9 @@ def _jpeg(image: Image.Image) -> bytes:
 
 async def _render(page: Page, request: Request) -> Response:
     """What the field shows from a camera. keep: the picture is drawn on, so it is wanted again."""
-    asked = await _body(request, RENDER)
-    camera = _camera(asked["camera"])
-    kept = page.file(".pictures", hashlib.sha256(json.dumps(_plain(camera)).encode()).hexdigest()[:24], ".jpg")
+    asked = await body_of(request, RENDER)
+    camera = camera_of(asked["camera"])
+    kept = page.file(".pictures", hashlib.sha256(json.dumps(plain_camera(camera)).encode()).hexdigest()[:24], ".jpg")
     if kept.is_file():
         return FileResponse(kept, media_type="image/jpeg")
     image = await _work(page, request, "render", asked["tab"], None, camera)
@@ -288,18 +173,18 @@ async def _render(page: Page, request: Request) -> Response:
 
 async def _suggest(page: Page, request: Request) -> Response:
     """A camera for the next sketch, and why."""
-    asked = await _body(request, SUGGEST)
+    asked = await body_of(request, SUGGEST)
     sketches = await run_in_threadpool(lambda: parse(page.store.read(checked_name(asked["skill"]))))
     camera, sentence = await _work(page, request, "suggest", asked["tab"], asked["skill"], sketches)
-    return _json({"camera": _plain(camera), "sentence": sentence})
+    return json_answer({"camera": plain_camera(camera), "sentence": sentence})
 
 
 async def _names(page: Page, request: Request) -> Response:
-    return _json({"skills": await run_in_threadpool(page.store.names)})
+    return json_answer({"skills": await run_in_threadpool(page.store.names)})
 
 
 async def _read(page: Page, request: Request) -> Response:
-    body = await run_in_threadpool(page.store.read, _name(request))
+    body = await run_in_threadpool(page.store.read, name_of(request))
     return Response(body, media_type="application/json", headers={"etag": f'"{revision_of(body)}"', "cache-control": "no-store"})
 
 
@@ -312,17 +197,17 @@ def _seen(request: Request) -> str | None:
 
 
 async def _write(page: Page, request: Request) -> Response:
-    name, seen = _name(request), _seen(request)
+    name, seen = name_of(request), _seen(request)
     revision = await run_in_threadpool(page.store.write, name, await request.body(), seen)
     page.tell(name, {"type": "changed", "revision": revision, "tab": request.headers.get("x-tab", "")[:60]})
-    return _json({"revision": revision}, 201 if seen is None else 200, etag=f'"{revision}"')
+    return json_answer({"revision": revision}, 201 if seen is None else 200, etag=f'"{revision}"')
 
 
 async def _remove(page: Page, request: Request) -> Response:
-    name = _name(request)
+    name = name_of(request)
     await run_in_threadpool(page.store.remove, name, _seen(request))
     page.tell(name, {"type": "changed", "revision": None, "tab": request.headers.get("x-tab", "")[:60]})
-    return _json({"removed": name})
+    return json_answer({"removed": name})
 
 
 async def _work(page: Page, request: Request, work: str, tab: str, skill: str | None, *arguments):
@@ -345,32 +230,32 @@ async def _left(request: Request, worker: Worker, key: str) -> None:
 
 
 async def _fit(page: Page, request: Request) -> Response:
-    name, asked = _name(request), await _body(request, WORK)
+    name, asked = name_of(request), await body_of(request, WORK)
     body = await run_in_threadpool(page.store.read, name)
     sketches = await run_in_threadpool(parse, body)
     check(sketches, page.scene.surfaces)
     learned = await _work(page, request, "fit", asked["tab"], name, page.store.folder / f"{name}.json", page.file(".learned", name, ".npz"))
-    return _json(learned)
+    return json_answer(learned)
 
 
 async def _plan(page: Page, request: Request) -> Response:
-    name, asked = _name(request), await _body(request, WORK)
+    name, asked = name_of(request), await body_of(request, WORK)
     skill = page.file(".learned", name, ".npz")
     if not skill.is_file():
         raise Wrong(409, "there is no motion to check yet: draw it on two views", "name")
-    return _json(await _work(page, request, "plan", asked["tab"], name, skill, page.file(".learned", name, ".plan.npz")))
+    return json_answer(await _work(page, request, "plan", asked["tab"], name, skill, page.file(".learned", name, ".plan.npz")))
 
 
 async def _perform(page: Page, request: Request) -> Response:
-    name, asked = _name(request), await _body(request, WORK)
+    name, asked = name_of(request), await body_of(request, WORK)
     plan = page.file(".learned", name, ".plan.npz")
     if not plan.is_file():
         raise Wrong(409, "there is no checked motion to perform yet: check it first", "name")
-    return _json(await _work(page, request, "perform", asked["tab"], name, plan, page.file(".learned", name, ".mp4")))
+    return json_answer(await _work(page, request, "perform", asked["tab"], name, plan, page.file(".learned", name, ".mp4")))
 
 
 async def _video(page: Page, request: Request) -> Response:
-    video = page.file(".learned", _name(request), ".mp4")
+    video = page.file(".learned", name_of(request), ".mp4")
     if not video.is_file():
         raise Wrong(404, "this skill has not been performed", "name")
     return FileResponse(video, media_type="video/mp4", headers={"cache-control": "no-store"})
@@ -378,14 +263,14 @@ async def _video(page: Page, request: Request) -> Response:
 
 async def _done(page: Page, request: Request) -> Response:
     """The person is content: whoever opened the page goes on with this skill."""
-    name = _name(request)
-    await _body(request, WORK)
+    name = name_of(request)
+    await body_of(request, WORK)
     sketches = await run_in_threadpool(lambda: parse(page.store.read(name)))
     check(sketches, page.scene.surfaces)
     if page.finished is None:
         raise Wrong(404, "nothing waits for this skill: it is saved", "path")
     page.finished(name, sketches)
-    return _json({"done": name})
+    return json_answer({"done": name})
 
 
 async def _live(socket: WebSocket) -> None:

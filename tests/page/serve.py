@@ -9,7 +9,8 @@ import uvicorn
 from PIL import Image, ImageDraw
 
 from scene.camera import Camera, look_at
-from teach.page.server import Page, Picture, Scene, create
+from teach.page.scene import Picture, Scene
+from teach.page.server import Page, create
 from teach.page.store import Store
 from teach.page.worker import Worker
 

@@ -87,18 +87,22 @@ export class Orbit {
 
   /** The coarse picture of where the camera is; one at a time, the newest. */
   async coarse() {
-    if (this.asking) { this.again = true; return }
-    do {
+    this.again = true
+    if (this.looping) return
+    this.looping = true
+    while (this.again) {
       this.again = false
       await this.render(resized(this.camera, 160, Math.round(160 * this.camera.height / this.camera.width)))
-    } while (this.again)
+    }
+    this.looping = false
   }
 
+  /** Show what the field shows from there, instead of what was asked for before. */
   async render(camera) {
+    this.asking?.abort()
     const asking = this.asking = new AbortController(), began = performance.now()
     try {
-      const blob = await renderFrom(camera, {}, asking.signal)
-      const url = URL.createObjectURL(blob), old = this.image.src
+      const url = URL.createObjectURL(await renderFrom(camera, {}, asking.signal)), old = this.image.src
       this.image.src = url
       await this.image.decode().catch(() => {})
       if (old.startsWith('blob:')) URL.revokeObjectURL(old)
