@@ -382,3 +382,13 @@ def test_where_views_contradict_each_other_is_said_and_help_follows_the_pen(visi
     tab.mouse.up()
     (found,) = tab.evaluate("page.views[1].disagreements().map(d => ({...d.part, other: d.other}))")
     assert found["other"] == "left" and found["most"] > 15 and 0.2 < found["from"] < found["to"] < 0.9
+
+
+def test_the_least_certain_part_is_offered_to_be_drawn_again_close_up_on_the_view_that_sees_it_best(visit):
+    tab = visit("again")
+    tab.evaluate("""page.work.changed = () => {}, page.motion = {times: [0, 0.25, 0.5, 0.75, 1], duration: 2, sentence: 's', warnings: [], regions: [],
+        weakest: {from: 0.25, to: 0.5, uncertainty_mm: 30, view: 'above'}, ways: [{share: 1, samples: [], covariance: Array(5).fill(Array(9).fill(0)),
+        mean: [0, 1, 2, 3, 4].map(i => [0, 0.1 * i - 0.2, 0.1])}]}, page.stale = false, page.work.redrawOffered(), page.paint()""")
+    tab.click("#redraw button")
+    assert tab.evaluate("page.focused.name") == "above" and tab.evaluate("page.focused.zoom.scale > 1.5 * page.focused.least")
+    assert "once more on above" in tab.inner_text("#says")

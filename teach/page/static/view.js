@@ -3,7 +3,7 @@
 // Layers from the back: picture, ink (all that is finished), live (the line being drawn, painted as its samples arrive), help
 // (what changes with every moment). A sample is an event of the browser: each coalesced one, with its own time.
 
-import {arcLength, at, fundamental, matched, disagreement} from './geometry.js'
+import {arcLength, at, fundamental, matched, disagreement, project} from './geometry.js'
 import {Helper, TOLERANCE} from './help.js'
 import * as ink from './ink.js'
 
@@ -81,6 +81,16 @@ export class View {
     const within = (value, size, room) => size < room ? (room - size) / 2 : Math.min(0, Math.max(room - size, value))
     this.zoom = {scale, x: within(x, scale * width, w), y: within(y, scale * height, h)}
     this.paint()
+  }
+
+  /** Zoom in on points (N, 3) of the world, with room around them. */
+  look(points) {
+    const seen = points.map(p => project(this.view.camera, p)).filter(Boolean), {clientWidth: w, clientHeight: h} = this.frame
+    if (!seen.length) return
+    const [low, high] = [Math.min, Math.max].map(f => [0, 1].map(axis => f(...seen.map(p => p[axis]))))
+    const scale = Math.min(w / (3 * (high[0] - low[0]) + 60), h / (3 * (high[1] - low[1]) + 60), 6 * this.least)
+    const bounded = Math.max(scale, this.least)
+    this.moveTo(bounded, w / 2 - bounded * (low[0] + high[0]) / 2, h / 2 - bounded * (low[1] + high[1]) / 2)
   }
 
   /** Position (CSS px of the window) -> pixel of the picture. */

@@ -106,6 +106,7 @@ export class Work {
     page.setTime((weak.from + weak.to) / 2)
     page.focus(view)
     view.frame.focus()
+    view.look(page.motion.ways[0].mean.filter((_, i) => page.motion.times[i] >= weak.from && page.motion.times[i] <= weak.to))
     page.say(`Draw the motion once more on ${weak.view}, with care where it is marked in yellow.`)
   }
 
