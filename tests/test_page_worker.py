@@ -119,3 +119,26 @@ def test_a_process_that_dies_is_replaced(worker):
         return await worker.do("tab", "double", 1)
 
     assert run(ask()) == 2
+
+
+def slow_make():
+    time.sleep(1.0)
+    return {"pid": pid}
+
+
+def test_a_request_given_up_while_the_process_loads_does_not_end_it():
+    worker = Worker(slow_make)
+
+    async def ask():
+        older = asyncio.create_task(worker.do("tab", "pid"))
+        await asyncio.sleep(0.2)
+        started = worker._process.pid
+        answer = await worker.do("tab", "pid")
+        with pytest.raises(Superseded):
+            await older
+        return started == answer
+
+    try:
+        assert asyncio.run(ask())
+    finally:
+        worker.close()

@@ -48,6 +48,7 @@ class Worker:
         self._process = context.Process(target=_serve, args=(self.make, theirs), daemon=True)
         self._process.start()
         theirs.close()
+        self._ready = self._sent = False
 
     def close(self) -> None:
         """End the process."""
@@ -78,12 +79,12 @@ class Worker:
 
     async def _run(self, dropped, name, arguments, told):
         self.start()
-        self._pipe.send((name, arguments))
-        answer = asyncio.ensure_future(self._answer(told))
+        self._sent = False
+        answer = asyncio.ensure_future(self._answer(name, arguments, told))
         gone = asyncio.ensure_future(dropped.wait())
         try:
             await asyncio.wait((answer, gone), return_when=asyncio.FIRST_COMPLETED)
-            if not answer.done():
+            if not answer.done() and self._sent:
                 os.kill(self._process.pid, signal.SIGUSR1)
                 await asyncio.wait((answer,), timeout=self.patience)
             if dropped.is_set():
@@ -96,9 +97,15 @@ class Worker:
             else:
                 answer.cancel()
                 await asyncio.wait((answer,))
-                self.close()
+                if self._sent:
+                    self.close()
 
-    async def _answer(self, told):
+    async def _answer(self, name, arguments, told):
+        if not self._ready:  # it is still loading, and could not be interrupted
+            await self._received()
+            self._ready = True
+        self._pipe.send((name, arguments))
+        self._sent = True
         while True:
             kind, value = await self._received()
             if kind == "progress":
@@ -142,6 +149,7 @@ def _serve(make, pipe) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the server
     signal.signal(signal.SIGUSR1, stop)
     functions = make()
+    pipe.send("ready")
     while True:
         try:
             name, arguments = pipe.recv()
