@@ -102,9 +102,10 @@ def test_others_wait_for_their_turn_and_get_their_own_answers(worker):
 
 def test_what_does_not_stop_is_ended_and_the_next_request_finds_a_fresh_process(worker):
     async def ask():
-        older = asyncio.create_task(worker.do("tab", "stubborn"))
+        gone = asyncio.Event()
+        older = asyncio.create_task(worker.do("tab", "stubborn", dropped=gone))
         await asyncio.sleep(0.3)
-        worker.drop("tab")
+        gone.set()
         with pytest.raises(Superseded):
             await older
         return await worker.do("tab", "double", 1)

@@ -216,17 +216,18 @@ async def _work(page: Page, request: Request, work: str, tab: str, skill: str | 
         raise Wrong(404, f"{work} is off: this page was opened without it", "path")
     key, worker = f"{tab}:{'robot' if work in ('plan', 'perform') else work}", page.works[work]
     told = lambda share, words: page.tell(skill, {"type": "progress", "work": work, "share": share, "words": words, "tab": tab})
-    leaving = asyncio.ensure_future(_left(request, worker, key))
+    dropped = asyncio.Event()
+    leaving = asyncio.ensure_future(_left(request, dropped))
     try:
-        return await worker.do(key, work, *arguments, told=told)
+        return await worker.do(key, work, *arguments, told=told, dropped=dropped)
     finally:
         leaving.cancel()
 
 
-async def _left(request: Request, worker: Worker, key: str) -> None:
+async def _left(request: Request, dropped: asyncio.Event) -> None:
     while not await request.is_disconnected():
         await asyncio.sleep(0.1)
-    worker.drop(key)
+    dropped.set()
 
 
 async def _fit(page: Page, request: Request) -> Response:

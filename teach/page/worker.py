@@ -58,11 +58,12 @@ class Worker:
             self._pipe.close()
             self._process = None
 
-    async def do(self, key: str, name: str, *arguments, told=None):
-        """What the function ``name`` returns. key: whose request this is; told(share, words) hears of progress."""
+    async def do(self, key: str, name: str, *arguments, told=None, dropped: asyncio.Event | None = None):
+        """What the function ``name`` returns. key: whose request this is; told(share, words) hears of progress; dropped is set
+        when nobody waits for this one any more."""
         if key in self._waiting:
             self._waiting[key].set()
-        self._waiting[key] = dropped = asyncio.Event()
+        self._waiting[key] = dropped = dropped or asyncio.Event()
         try:
             async with self._turn:
                 if dropped.is_set():
@@ -71,11 +72,6 @@ class Worker:
         finally:
             if self._waiting.get(key) is dropped:
                 del self._waiting[key]
-
-    def drop(self, key: str) -> None:
-        """Nobody waits for ``key``'s request any more."""
-        if key in self._waiting:
-            self._waiting[key].set()
 
     async def _run(self, dropped, name, arguments, told):
         self.start()
