@@ -46,8 +46,11 @@ def main() -> None:
             if asked.pictures:
                 pictures(browser, address, strokes, asked.pictures)
             else:
-                for row in (*loading(browser, address, asked.repeat), *inking(browser, address), *learning(browser, address, strokes, asked.repeat), *orbiting(browser, address, asked.repeat)):
-                    print("{:58} {:>12}   floor {}".format(*row))
+                measured = (lambda: loading(browser, address, asked.repeat), lambda: inking(browser, address),
+                            lambda: learning(browser, address, strokes, asked.repeat), lambda: orbiting(browser, address, asked.repeat))  # fmt: skip
+                for measure in measured:
+                    for row in measure():
+                        print("{:58} {:>12}   floor {}".format(*row), flush=True)
             browser.close()
         finally:
             os.killpg(server.pid, signal.SIGKILL)
