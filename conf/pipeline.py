@@ -182,6 +182,12 @@ def sketch(job: Job, out: Path) -> dict:
     if job.cfg.user.kind == "files":
         sketches = sketch_files.load(_stored_sketches(job, job.cfg.user.file))
         held_out, intended = [], {}
+    elif job.cfg.user.kind == "page":
+        from conf.page import draw_by_hand
+
+        name, sketches = draw_by_hand(job)
+        held_out, intended = [], {}
+        log.info("  the skill %s", name)
     else:
         from conf.seen import draw
 
@@ -315,7 +321,8 @@ STAGES = (
     Stage("render", render, ("views",), ("train",), ("scene.views", "world.workspace", *VIEWED),
           inputs=lambda job: hashlib.sha256(file.read_bytes()).hexdigest() if (file := _drawn_before(job)) else None,
           shared=True, resumable=True),
-    Stage("sketch", sketch, ("sketches.json", "held_out.json", "intended.npz"), ("render",), ("user", "world", "robot.arm", "seed")),
+    Stage("sketch", sketch, ("sketches.json", "held_out.json", "intended.npz"), ("render",), ("user", "world", "robot.arm", "seed"),
+          inputs=lambda job: _asked(job)),
     Stage("fit", fit, ("skill.npz", "densities.npz"), ("sketch",), ("teach", "seed")),
     Stage("plan", plan, ("plan.npz", "trajectory.csv", "joint_trajectory.json", "plan.mcap"), ("fit",),
           ("robot.arm", "robot.planner", "robot.obstacles", "world", "seed"), inputs=lambda job: _pieces(job)),
@@ -384,7 +391,10 @@ def _wanted(job: Job) -> list[str]:
     if job.cfg.photos and job.cfg.scene.truth:
         raise ValueError("scene.truth is of simulated worlds: nobody knows it of photographs")
     if job.cfg.stages is None:
-        usual = ["reconstruct", "train", "render"] if job.cfg.photos else [name for name in known if name != "surface"]
+        if not job.cfg.photos:
+            usual = [name for name in known if name != "surface"]
+        else:
+            usual = ["reconstruct", "train", "render", *(("sketch", "fit") if job.cfg.user.kind == "page" else ())]
         return usual + ["surface"] * bool(job.settings("robot.obstacles"))
     unknown = [name for name in job.cfg.stages if name not in known]
     if unknown or not job.cfg.stages:
@@ -479,6 +489,11 @@ def _drawn_before(job: Job) -> Path | None:
         raise ValueError(f"these views need {missing.pop()}=...: a name in {job.capture / 'sketches'}, or a file")
     name = job.settings("scene.views.sketch")
     return _stored_sketches(job, name) if name else None
+
+
+def _asked(job: Job) -> int | None:
+    """A person is asked anew each time; what the others draw follows from settings."""
+    return time.time_ns() if job.cfg.user.kind == "page" else None
 
 
 def _depths(job: Job, sketches) -> dict:

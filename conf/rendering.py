@@ -1,8 +1,6 @@
-"""Pictures along a camera path: data/<capture>/renders/<path>/ and its video beside it; and who suggests views."""
+"""Pictures along a camera path: data/<capture>/renders/<path>/ and its video beside it."""
 
 import hashlib
-from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 
 from filelock import FileLock
@@ -44,18 +42,3 @@ def workspace(job: Job) -> list | None:
     """Lower and upper corner [m] of where motions are meant: as set, or the world's; None of own photographs else."""
     world = {} if job.cfg.photos else job.settings("world.workspace") or {}
     return job.settings("scene.viewpoints.workspace") or [world[side] for side in ("lower", "upper") if world] or None
-
-
-def suggester(job: Job) -> Callable:
-    """suggest(cameras drawn on so far, a stroke (N, 2) [px] of each) -> `scene.viewpoints.Proposal`, for this capture.
-
-    Its field says what can be seen; without one the photographs themselves are chosen among.
-    """
-    from scene.dataset import load_views
-    from scene.field import Field
-
-    path = job.capture / "field.pt"
-    photographed = [view.camera for view in load_views(job.capture)]
-    field = Field.load(path) if path.exists() else None
-    suggest = instantiate(job.cfg.scene.viewpoints, _convert_="all")
-    return partial(suggest, photographed, field=field, workspace=workspace(job))

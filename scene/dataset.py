@@ -154,28 +154,43 @@ def load_transforms(path: Path) -> dict:
     return meta
 
 
+def load_cameras(folder: str | Path) -> dict[Path, Camera]:
+    """The cameras of a capture folder by the paths of their pictures, which are not opened."""
+    folder = Path(folder)
+    meta = load_transforms(folder / "transforms.json")
+    return dict(_posed(folder, meta, frame, i) for i, frame in enumerate(meta["frames"]))
+
+
 def _view(folder: Path, meta: dict, frame: dict, index: int) -> View:
+    path, camera = _posed(folder, meta, frame, index)
+    image = load_image(path)
+    if image.shape[:2] != (camera.height, camera.width):
+        size, said = f"{image.shape[1]}x{image.shape[0]}", f"{camera.width}x{camera.height}"
+        raise ValueError(f"{_where(folder, frame, index)}: the picture is {size}, but w, h say {said}")
+    mask = read_mask(inside(folder, frame["mask_path"], _where(folder, frame, index))) if frame.get("mask_path") else None
+    if mask is not None and mask.shape != image.shape[:2]:
+        said = f"{camera.width}x{camera.height}"
+        raise ValueError(f"{_where(folder, frame, index)}: its mask is {mask.shape[1]}x{mask.shape[0]}, the picture {said}")
+    return View(path.stem, camera, image, mask)
+
+
+def _where(folder: Path, frame: dict, index: int) -> str:
+    return f"{folder / 'transforms.json'}, frame {index} ({frame['file_path']})"
+
+
+def _posed(folder: Path, meta: dict, frame: dict, index: int) -> tuple[Path, Camera]:
     """One frame of transforms.json; its own intrinsics go before those of the whole file."""
-    where = f"{folder / 'transforms.json'}, frame {index}"
     missing = [key for key in ("file_path", "transform_matrix") if key not in frame]
     missing += [key for key in INTRINSICS if key not in frame and key not in meta]
     if missing:
-        raise ValueError(f"{where}: missing {', '.join(missing)}")
-    where = f"{where} ({frame['file_path']})"
+        raise ValueError(f"{folder / 'transforms.json'}, frame {index}: missing {', '.join(missing)}")
+    where = _where(folder, frame, index)
     lens = {key: frame.get(key, meta.get(key)) for key in INTRINSICS + DISTORTION}
     if any(lens[key] for key in DISTORTION):
         bent = ", ".join(f"{key} {lens[key]}" for key in DISTORTION if lens[key])
         raise ValueError(f"{where}: lens distortion ({bent}) is not read; reconstruct from the photographs instead")
     camera = _camera(lens, frame["transform_matrix"], where)
-    path = inside(folder, frame["file_path"], where)
-    image = load_image(path)
-    if image.shape[:2] != (camera.height, camera.width):
-        size, said = f"{image.shape[1]}x{image.shape[0]}", f"{camera.width}x{camera.height}"
-        raise ValueError(f"{where}: the picture is {size}, but w, h say {said}")
-    mask = read_mask(inside(folder, frame["mask_path"], where)) if frame.get("mask_path") else None
-    if mask is not None and mask.shape != image.shape[:2]:
-        raise ValueError(f"{where}: its mask is {mask.shape[1]}x{mask.shape[0]}, the picture {camera.width}x{camera.height}")
-    return View(path.stem, camera, image, mask)
+    return inside(folder, frame["file_path"], where), camera
 
 
 def _camera(lens: dict, matrix, where: str) -> Camera:

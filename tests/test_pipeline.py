@@ -126,7 +126,7 @@ def test_a_sweep_builds_the_scene_once_and_does_the_rest_for_each_job(job):
 def test_each_command_runs_alone_on_the_files_of_the_one_before(job):
     folder, _, _ = job
     for module in ("teach.draw", "teach.fit", "robot.plan", "robot.execute"):
-        result = subprocess.run([sys.executable, "-m", module, *SMALL], capture_output=True, text=True, cwd=folder)
+        result = subprocess.run([sys.executable, "-m", module, *SMALL, "user=scripted"], capture_output=True, text=True, cwd=folder)
         assert result.returncode == 0, result.stderr
 
 

@@ -1,0 +1,74 @@
+"""What the page shows of a learned skill: numbers that every view can project and the 3D view can draw.
+
+Runs in the worker's process. ``fit(sketches, seen=...)`` is teach.rptl.fit with its settings; what it makes is kept
+beside the sketches as .learned/<name>.npz, for checking and performing.
+"""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from teach.hull import visual_hull
+from teach.page.store import parse, revision_of
+from teach.sketch import Sketch, SketchError
+from teach.trajectory import Skill
+
+TIMES = np.linspace(0, 1, 81)
+SAMPLES = 14
+
+
+def learn(fit: Callable, progress: Callable, path: Path, keep: Path) -> dict:
+    """Learn what the sketch file ``path`` draws, write the skill to ``keep``, return what the page shows. Raises SketchError."""
+    body = path.read_bytes()
+    progress(0.05, "Looking at the strokes")
+    sketches = parse(body)
+    views = max(len([sketch for sketch in sketches if sketch.motions]), 1)
+    done = []
+
+    def seen(sketch, density):
+        done.append(sketch.view)
+        progress(0.2 + 0.7 * len(done) / views, f"Learned from {sketch.view}")
+
+    sketches, unfinished = _with_whole_regions(sketches)
+    skill = fit(sketches, seen=seen)
+    progress(0.95, "Drawing the motion")
+    skill.save(keep)
+    there = shown(skill)
+    return there | {"revision": revision_of(body), "unfinished": unfinished, "warnings": unfinished + there["warnings"]}
+
+
+def _with_whole_regions(sketches) -> tuple[list[Sketch], list[str]]:
+    """The sketches, without their outlines as long as these bound nothing: the motion is shown all the same, and why they
+    do not count yet."""
+    try:
+        visual_hull(sketches)
+        return sketches, []
+    except SketchError as error:
+        return [Sketch(s.view, s.camera, s.motions) for s in sketches], [f"Not kept clear of yet: {error}."]
+
+
+def shown(skill: Skill) -> dict:
+    """Plain numbers: times (T,), for each way its share, mean (T, 3) [m], samples (S, T, 3), covariance (T, 3, 3) [m^2];
+    duration [s], events, the report's sentences and weakest part, the edges (E, 2, 3) of keep-out volumes."""
+    return {
+        "times": TIMES.tolist(),
+        "ways": [_way(way) for way in skill.ways],
+        "duration": skill.duration,
+        "events": [{"name": event.name, "time": event.time} for event in skill.events],
+        "sentence": skill.report.get("sentence", ""),
+        "warnings": skill.report.get("warnings", []),
+        "weakest": skill.report.get("weakest"),
+        "seconds": skill.report.get("seconds"),
+        "regions": [region.edges.round(4).tolist() for region in visual_hull(skill.keep_out)],
+    }
+
+
+def _way(way) -> dict:
+    samples = way.distribution.sample(SAMPLES, TIMES, np.random.default_rng(0))
+    return {
+        "share": way.share,
+        "mean": way.distribution.mean_at(TIMES).round(5).tolist(),
+        "samples": samples.round(4).tolist(),
+        "covariance": [[float(f"{x:.4g}") for x in C.ravel()] for C in way.distribution.covariance_at(TIMES)],
+    }

@@ -1,0 +1,232 @@
+// Painting in image coordinates: strokes, marks, the learned motion, help. `px` is the size of a CSS pixel there, so that
+// lines keep their width on the screen at any zoom.
+
+import {project, ellipse, clipped, at} from './geometry.js'
+
+export const INKS = ['#ff6b2c', '#2f9bff', '#3ccf6a', '#d65cff', '#ffc61a', '#16c7c2', '#ff5c8a', '#a5b4fc']
+export const inkOf = demonstration => INKS[((demonstration % INKS.length) + INKS.length) % INKS.length]
+const RAMP = [[92, 60, 220], [206, 44, 160], [255, 112, 80], [255, 214, 92]]
+export const MARKS = {
+  gripper_close: {label: 'Close gripper', short: 'C', glyph: '●'}, gripper_open: {label: 'Open gripper', short: 'O', glyph: '○'},
+  pause: {label: 'Pause', short: 'S', glyph: 'Ⅱ'}, contact: {label: 'Touch the surface', short: 'T', glyph: '▼'},
+}
+const paths = new WeakMap()
+
+/** Colour of time t in [0, 1]: indigo, magenta, orange, yellow. */
+export function timeColour(t, alpha = 1) {
+  const x = Math.min(Math.max(t, 0), 1) * (RAMP.length - 1), i = Math.min(Math.floor(x), RAMP.length - 2)
+  const c = RAMP[i].map((a, k) => Math.round(a + (x - i) * (RAMP[i + 1][k] - a)))
+  return `rgb(${c.join(' ')} / ${alpha})`
+}
+
+/** The stroke's line, made once. */
+export function pathOf(stroke) {
+  if (!paths.has(stroke)) {
+    const path = new Path2D()
+    stroke.points.forEach(([u, v], i) => i ? path.lineTo(u, v) : path.moveTo(u, v))
+    if (stroke.kind === 'keep_out') path.closePath()
+    paths.set(stroke, path)
+  }
+  return paths.get(stroke)
+}
+
+export function paintStroke(g, stroke, px, {selected = false, faded = false} = {}) {
+  const path = pathOf(stroke)
+  g.save()
+  g.lineCap = g.lineJoin = 'round'
+  if (stroke.kind === 'keep_out') {
+    g.fillStyle = 'rgb(226 48 48 / .22)'
+    g.fill(path)
+    g.setLineDash([7 * px, 5 * px])
+  }
+  g.globalAlpha = faded ? 0.5 : 1
+  g.strokeStyle = selected ? '#fff' : 'rgb(12 14 20 / .55)'
+  g.lineWidth = (selected ? 7 : 5) * px
+  g.stroke(path)
+  g.strokeStyle = stroke.kind === 'keep_out' ? '#ff4d4d' : inkOf(stroke.demonstration ?? 0)
+  g.lineWidth = 3 * px
+  g.stroke(path)
+  g.setLineDash([])
+  if (stroke.kind !== 'keep_out') paintStart(g, stroke, px)
+  for (const event of stroke.events ?? []) paintMark(g, at(stroke.points, stroke.times, event.time), event.name, px)
+  g.restore()
+}
+
+function paintStart(g, stroke, px) {
+  const [u, v] = stroke.points[0]
+  g.beginPath()
+  g.arc(u, v, 4.5 * px, 0, 7)
+  g.fillStyle = '#fff'
+  g.fill()
+  g.lineWidth = 2.5 * px
+  g.strokeStyle = inkOf(stroke.demonstration ?? 0)
+  g.stroke()
+}
+
+export function paintMark(g, [u, v], name, px) {
+  g.save()
+  g.translate(u, v)
+  g.scale(px, px)
+  g.beginPath()
+  g.arc(0, 0, 10, 0, 7)
+  g.fillStyle = '#14161c'
+  g.fill()
+  g.lineWidth = 2
+  g.strokeStyle = '#fff'
+  g.stroke()
+  g.fillStyle = '#fff'
+  g.font = '700 11px system-ui, sans-serif'
+  g.textAlign = 'center'
+  g.textBaseline = 'middle'
+  g.fillText(MARKS[name]?.short ?? '?', 0, 0.5)
+  g.restore()
+}
+
+/** A polyline of world points as the camera sees it, painted piece by piece in the colour of its time. */
+export function paintTimed(g, camera, points, times, width, alpha, colour = timeColour) {
+  g.lineWidth = width
+  g.lineCap = 'round'
+  let before = null
+  points.forEach((point, i) => {
+    const here = project(camera, point)
+    if (before && here) {
+      g.beginPath()
+      g.moveTo(...before)
+      g.lineTo(...here)
+      g.strokeStyle = colour(times[i], alpha)
+      g.stroke()
+    }
+    before = here
+  })
+}
+
+/** The learned motion: its spread as ellipses of two deviations, samples, the mean. */
+export function paintMotion(g, camera, motion, px, {weakest = true} = {}) {
+  const {times} = motion
+  motion.ways.forEach((way, number) => {
+    g.save()
+    if (!number) for (let i = 0; i < times.length; i += 4) {
+      const e = ellipse(camera, way.mean[i], way.covariance[i])
+      if (!e || e.radii[0] > camera.width) continue
+      g.beginPath()
+      g.ellipse(...e.at, 2 * e.radii[0], 2 * e.radii[1], e.turn, 0, 7)
+      g.fillStyle = timeColour(times[i], 0.07)
+      g.fill()
+    }
+    for (const sample of way.samples) paintTimed(g, camera, sample, times, 1.1 * px, 0.4)
+    paintTimed(g, camera, way.mean, times, 7 * px, 0.75, () => 'rgb(255 255 255 / .8)')
+    paintTimed(g, camera, way.mean, times, 4 * px, 1)
+    g.restore()
+  })
+  if (weakest && motion.weakest) paintPart(g, camera, motion, motion.weakest, px)
+}
+
+function paintPart(g, camera, motion, {from, to}, px) {
+  const inside = motion.ways[0].mean.filter((_, i) => motion.times[i] >= from && motion.times[i] <= to).map(p => project(camera, p)).filter(Boolean)
+  g.save()
+  g.beginPath()
+  inside.forEach((p, i) => i ? g.lineTo(...p) : g.moveTo(...p))
+  g.setLineDash([2 * px, 6 * px])
+  g.lineWidth = 12 * px
+  g.lineCap = 'butt'
+  g.strokeStyle = 'rgb(255 196 0 / .55)'
+  g.stroke()
+  g.restore()
+}
+
+/** The checked motion: white where it is well, red where the arm touches something or does not follow. */
+export function paintPlan(g, camera, plan, px) {
+  const bad = i => plan.touches[i] || plan.strays[i] || (!plan.feasible && !plan.touches.some(Boolean) && !plan.strays.some(Boolean))
+  let before = null
+  g.save()
+  g.lineCap = 'round'
+  plan.tip.forEach((point, i) => {
+    const here = project(camera, point)
+    if (before && here) {
+      g.beginPath()
+      g.moveTo(...before)
+      g.lineTo(...here)
+      g.lineWidth = (bad(i) ? 6 : 2.5) * px
+      g.strokeStyle = bad(i) ? '#ff2d3d' : 'rgb(120 255 190 / .95)'
+      g.stroke()
+    }
+    before = here
+  })
+  g.restore()
+}
+
+/** Where the motion is at a time: a dot with its spread. */
+export function paintMoment(g, camera, motion, t, px) {
+  for (const way of motion.ways) {
+    const here = project(camera, at(way.mean, motion.times, t))
+    if (!here) continue
+    const i = Math.round(t * (motion.times.length - 1)), e = ellipse(camera, way.mean[i], way.covariance[i])
+    g.beginPath()
+    if (e) g.ellipse(...here, 2 * e.radii[0], 2 * e.radii[1], e.turn, 0, 7)
+    g.fillStyle = 'rgb(255 255 255 / .2)'
+    g.fill()
+    g.lineWidth = 1.2 * px
+    g.strokeStyle = 'rgb(255 255 255 / .8)'
+    g.stroke()
+    g.beginPath()
+    g.arc(...here, 6.5 * px, 0, 7)
+    g.fillStyle = timeColour(t)
+    g.fill()
+    g.lineWidth = 2.5 * px
+    g.strokeStyle = '#fff'
+    g.stroke()
+  }
+}
+
+/** Help from another view: the band of lines, and the line of the moment. */
+export function paintHelp(g, {width, height}, band, line, px, colour) {
+  g.save()
+  for (let i = 1; i < band.length; i++) {
+    const a = clipped(band[i - 1], width, height), b = clipped(band[i], width, height)
+    if (!a || !b) continue
+    const flip = Math.hypot(a[0][0] - b[0][0], a[0][1] - b[0][1]) > Math.hypot(a[0][0] - b[1][0], a[0][1] - b[1][1])
+    const [c, d] = flip ? [b[0], b[1]] : [b[1], b[0]]
+    g.beginPath()
+    g.moveTo(...a[0]); g.lineTo(...a[1]); g.lineTo(...c); g.lineTo(...d)
+    g.closePath()
+    g.fillStyle = 'rgb(255 255 255 / .22)'
+    g.fill()
+  }
+  const ends = line && clipped(line, width, height)
+  if (ends) {
+    for (const [w, style] of [[4, 'rgb(12 14 20 / .5)'], [2, colour]]) {
+      g.beginPath()
+      g.moveTo(...ends[0]); g.lineTo(...ends[1])
+      g.setLineDash([10 * px, 6 * px])
+      g.lineWidth = w * px
+      g.strokeStyle = style
+      g.stroke()
+    }
+  }
+  g.restore()
+}
+
+/** A part of a stroke that its other view contradicts. */
+export function paintDisagreement(g, stroke, along, {from, to, most}, px) {
+  const inside = stroke.points.filter((_, i) => along[i] >= from - 1e-9 && along[i] <= to + 1e-9)
+  if (inside.length < 2) return
+  g.save()
+  g.beginPath()
+  inside.forEach((p, i) => i ? g.lineTo(...p) : g.moveTo(...p))
+  g.lineCap = g.lineJoin = 'round'
+  g.lineWidth = 13 * px
+  g.strokeStyle = 'rgb(255 45 61 / .45)'
+  g.stroke()
+  const [u, v] = inside[Math.floor(inside.length / 2)], text = `${Math.round(most)} px apart`
+  g.font = `600 ${12 * px}px system-ui, sans-serif`
+  const w = g.measureText(text).width + 14 * px
+  g.fillStyle = 'rgb(160 12 28 / .95)'
+  g.beginPath()
+  g.roundRect(u - w / 2, v - 34 * px, w, 21 * px, 10 * px)
+  g.fill()
+  g.fillStyle = '#fff'
+  g.textAlign = 'center'
+  g.textBaseline = 'middle'
+  g.fillText(text, u, v - 23.5 * px)
+  g.restore()
+}
