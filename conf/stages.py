@@ -9,6 +9,7 @@ import hashlib
 import json
 import os
 import shutil
+import sys
 import time
 from collections.abc import Callable
 from contextlib import nullcontext
@@ -17,6 +18,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 from filelock import FileLock
+from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
 from scene.files import replacing
@@ -147,6 +149,23 @@ def stage_hash(stage: Stage, job: Job, needed: dict[str, Record]) -> str:
         "version": version("scene2skill"),
     }
     return hashlib.sha256(json.dumps(went_in, sort_keys=True).encode()).hexdigest()
+
+
+def setting(job: Job, key: str):
+    """What a config group stands for: an object, or a function that waits for its arguments."""
+    return instantiate(OmegaConf.select(job.cfg, key), _convert_="all")
+
+
+def progress(items, title: str):
+    """The items, with a bar while somebody watches."""
+    from tqdm import tqdm
+
+    return tqdm(items, desc=f"  {title}", leave=False, disable=not watched())
+
+
+def watched() -> bool:
+    """Progress bars are for people, not for log files."""
+    return sys.stderr.isatty()
 
 
 def write_json(path: Path, value) -> None:

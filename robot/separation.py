@@ -14,7 +14,7 @@ import fcl
 import numpy as np
 from numba import njit
 
-from robot.shapes import BOX, CAPSULE, CYLINDER, SPHERE
+from robot.shapes import BOX, CYLINDER, SPHERE
 
 MESH = 4
 TRUSTED, AGREED = 1e-4, 1e-5  # m, by which gap and distance may differ: FCL's, and ours

@@ -13,7 +13,7 @@ import time
 import cv2
 import numpy as np
 
-from conf.pipeline import split
+from conf.scene_stages import split
 from scene.dataset import load_points, load_views
 from scene.fit import fit
 from scene.volume import psnr

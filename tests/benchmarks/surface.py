@@ -16,7 +16,7 @@ import open3d as o3d
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from conf.pipeline import split
+from conf.scene_stages import split
 from robot.arm import Arm, NoSolution
 from robot.collision import WORLD, CollisionModel
 from robot.obstacles import on_the_arm, reconstructed

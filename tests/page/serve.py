@@ -49,7 +49,7 @@ def plan(progress, skill, keep):
             "clearance_mm": [20.0] * 30, "touches": touches, "strays": [False] * 30, "least_mm": -3.0, "duration": 3.0}  # fmt: skip
 
 
-def perform(progress, plan, keep):
+def perform(progress, plan, skill, keep):
     raise ValueError("nothing here performs")
 
 
