@@ -57,7 +57,7 @@ def test_the_command_works_beside_a_foreign_conf_folder(tmp_path):
 
 
 def test_an_unknown_world_names_the_known_ones(tmp_path):
-    refused(scene2skill("world=tabel", cwd=tmp_path), "world/tabel", "table")
+    refused(scene2skill("world=tabel", cwd=tmp_path), "there is no world=tabel: did you mean table?")
 
 
 def test_an_unknown_setting_is_refused(tmp_path):

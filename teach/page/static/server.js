@@ -26,15 +26,16 @@ export async function readSkill(name) {
 
 /** Keeps a skill saved. state: "saved", "saving", "offline" or "conflict"; text() gives what is to be saved. */
 export class Saver {
-  constructor(text, changed) { this.text = text; this.changed = changed; this.name = null; this.state = 'saved'; this.pending = false; this.wait = 0 }
+  constructor(text, changed) { this.text = text; this.changed = changed; this.name = null; this.state = 'saved'; this.pending = false; this.wait = 0; this.unanswered = [] }
 
-  open(name, revision) { this.name = name; this.revision = revision; this.pending = false; this.be('saved') }
+  open(name, revision) { this.name = name; this.revision = revision; this.pending = false; this.unanswered = []; this.be('saved') }
   be(state, why) { this.state = state; this.changed(state, why) }
 
-  /** Something changed: save it, at once if nothing is being saved. */
+  /** Something changed: save it, at once if nothing is being saved. Kept here first: the tab may be closed before the server answers. */
   save() {
     this.pending = true
-    if (this.state === 'conflict') return this.backUp()
+    this.backUp()
+    if (this.state === 'conflict') return
     return this.running ??= this.run().finally(() => { this.running = null })
   }
 
@@ -49,16 +50,15 @@ export class Saver {
         if (name !== this.name) continue
         this.revision = answer.revision
         this.wait = 0
-        localStorage.removeItem(`unsaved:${name}`)
-        if (!this.pending) this.be('saved')
+        this.unanswered = []
+        if (!this.pending) { localStorage.removeItem(`unsaved:${name}`); this.be('saved') }
       } catch (error) {
         if (name !== this.name) continue
         this.pending = true
-        this.backUp()
-        if (error instanceof Answer && error.status === 412 && await this.isOurs(name, text)) { this.pending = false; this.be('saved') }
-        else if (error instanceof Answer && error.status === 412) this.be('conflict', error)
+        if (error instanceof Answer && error.status === 412) { if (!await this.isOurs(name)) this.be('conflict', error) }
         else if (error instanceof Answer) { this.pending = false; this.be('refused', error) }
         else {
+          this.unanswered = [...this.unanswered.slice(-4), text]
           this.be('offline', error)
           await new Promise(done => setTimeout(done, this.wait = Math.min(4000, 2 * this.wait + 200)))
         }
@@ -66,10 +66,10 @@ export class Saver {
     }
   }
 
-  /** Whether the server has just this text: it was killed after writing and before it could say so. */
-  async isOurs(name, text) {
+  /** Whether the server has a text of ours: it was killed after writing and before it could say so. */
+  async isOurs(name) {
     const there = await readSkill(name).catch(() => null)
-    if (there?.text !== text) return false
+    if (!there || !this.unanswered.includes(there.text)) return false
     this.revision = there.revision
     return true
   }
