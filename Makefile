@@ -22,6 +22,7 @@ install-test: $(VENV)/.installed-test
 
 $(VENV)/.installed-test: $(VENV)/.installed
 	@test -x /usr/bin/chromium || sh .ci/system-packages chromium
+	@command -v node >/dev/null || sh .ci/system-packages nodejs
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check $(PIP_FLAGS) -c constraints.txt -e '.[test]'
 	@touch $@
 
@@ -29,10 +30,10 @@ demo: install
 	$(BIN)/scene2skill
 
 test: install-test
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n 2 --dist loadfile
 
 test-all: install-test
-	$(BIN)/python -m pytest -m ''
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m ''
 
 clean:
 	rm -rf $(VENV) build dist .pytest_cache .hypothesis

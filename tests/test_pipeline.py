@@ -17,7 +17,7 @@ from teach.trajectory import Skill
 
 COMMAND = Path(sys.executable).with_name("scene2skill")
 SMALL = ("world=tiny", "robot.photographs.count=16", "robot.photographs.width=480", "robot.photographs.height=360",
-         "scene.fit.steps=60", "scene.views.orbit=2", "robot.planner.samples=4", "robot.execution.fps=2", "data=scene")  # fmt: skip
+         "scene.fit.steps=200", "scene.views.orbit=2", "robot.planner.samples=4", "robot.execution.fps=2", "data=scene")  # fmt: skip
 
 
 def scene2skill(*arguments, cwd):
