@@ -120,13 +120,21 @@ def adopt(stage: Stage, job: Job, wanted: Callable[[str, Record], bool]) -> Reco
     experiment = job.run.parent.parent
     earlier = sorted(experiment.glob("*/*/status.json"), key=lambda path: path.stat().st_mtime, reverse=True)
     for path in earlier:
-        status = json.loads(path.read_text())
-        record = find(stage, path.parent)
-        if path.parent == job.run or record is None or status.get("capture") != str(job.capture):
+        status = _status(path)
+        if path.parent == job.run or status.get("capture") != str(job.capture) or (record := find(stage, path.parent)) is None:
             continue
         if wanted(status["state"], record):
             return take(stage, path.parent, job)
     return None
+
+
+def _status(path: Path) -> dict:
+    """What a run says of itself; nothing, if the file is another's."""
+    try:
+        status = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError:
+        return {}
+    return status if isinstance(status, dict) else {}
 
 
 def take(stage: Stage, folder: Path, job: Job) -> Record | None:

@@ -17,6 +17,7 @@ from filelock import FileLock, Timeout
 from omegaconf import DictConfig, OmegaConf
 
 from conf.stages import write_json
+from scene.files import read_json
 
 log = logging.getLogger("scene2skill")
 
@@ -83,8 +84,8 @@ def _chosen(arguments: list[str]) -> Path | None:
 def _unfinished(key: dict) -> Path | None:
     """The newest sweep of this key, if some of its jobs did not finish and nobody runs it now."""
     for path in sorted(Path("runs").glob("*/*/sweep.json"), key=lambda path: path.stat().st_mtime, reverse=True):
-        begun = json.loads(path.read_text())
-        if begun["key"] == key:
+        begun = read_json(path, "")
+        if begun.get("key") == key:
             lock = None if begun["state"] == "finished" else _lock(path.parent)
             if lock is None:
                 return None

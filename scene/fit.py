@@ -31,6 +31,8 @@ STEPS = 2400
 """Default number of steps. For 42 photographs of 640x480, two cores did 1460 in 30 s."""
 BATCH = 2048
 """Rays a step."""
+PASSES = 4
+"""How often a pixel of the photographs is learned at most, on average: then voxels learn what single pictures have wrong."""
 FINEST, FINEST_OPEN = 1024, 640
 """Cells an axis of the finest level, at most: before a backdrop, and without one."""
 NEAR = 0.02
@@ -127,8 +129,8 @@ def fit(
     """Train a field on posed photographs.
 
     views: the training pictures (holding some out is the caller's). points (N, 3): the reconstruction's,
-    if there is one [m]. steps: how many (default STEPS, or as many as fit in ``seconds``); seconds: a cap,
-    after which training ends even so, with its schedule spread over that time. callback(field, step, seconds)
+    if there is one [m]. steps: how many (default STEPS, or as many as fit in ``seconds``, but only so many that each pixel
+    is learned PASSES times); seconds: a cap, after which training ends even so, with its schedule spread over that time. callback(field, step, seconds)
     after each step gets the field in training. checkpoint: a file, written now and then, from which a killed
     training goes on; removed at the end. bounds: (2, 3) corners of the box of interest [m], else from points or cameras.
     deterministic: one thread, bit-equal results. device: "cpu" or "auto", which is the same.
@@ -144,14 +146,14 @@ def fit(
     run = _resume(checkpoint, views, seed, stages) or _start(
         views, points, bounds, Shading.initial(np.random.default_rng(seed), behind_all, hidden), deterministic, device, thin
     )
-    limit = steps if steps is not None else STEPS if seconds is None else None
+    limit = steps if steps is not None else min(STEPS if seconds is None else np.inf, _most(views))
     clock, saved = time.perf_counter() - run.seconds, time.perf_counter()
     nearest = occupancy.nearest(views, points) / run.field.half
     pictures, error = None, None
     bar = tqdm(total=limit, initial=run.step, desc="train", disable=not progress, leave=False)
     while True:
         run.seconds = time.perf_counter() - clock
-        done = max(run.step / limit if limit else 0.0, run.seconds / seconds if seconds else 0.0)
+        done = max(run.step / limit, run.seconds / seconds if seconds else 0.0)
         if done >= 1:
             break
         if _advance(run, stages, done, points, prior, views, nearest) or pictures is None:
@@ -178,6 +180,11 @@ def fit(
     if checkpoint is not None:
         Path(checkpoint).unlink(missing_ok=True)
     return run.field
+
+
+def _most(views) -> int:
+    """Steps in which each pixel is learned PASSES times."""
+    return max(1, PASSES * sum(view.camera.width * view.camera.height for view in views) // BATCH)
 
 
 def _check(views) -> None:

@@ -36,7 +36,7 @@ def capture(tmp_path) -> Path:
 @pytest.fixture
 def opened(capture, tmp_path):
     """The running job and the address that it printed."""
-    command = [sys.executable, "-m", "teach.draw", f"data={capture}", "user.port=0", f"hydra.run.dir={tmp_path}/run"]
+    command = [sys.executable, "-m", "teach.draw", f"data={capture}", "user.port=0", f"hydra.run.dir={tmp_path}/runs/default/now/0"]
     job = subprocess.Popen(command, cwd=tmp_path, stdout=(tmp_path / "log").open("w"), stderr=subprocess.STDOUT, env=os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"})
     for _ in range(900):
         if found := re.search(r"draw at (http://\S+/)\s", (tmp_path / "log").read_text()):
@@ -74,7 +74,7 @@ def test_the_job_goes_on_with_the_skill_that_the_person_is_done_with(opened, cap
     send(f"{address}api/skills/reach", "PUT", drawing(2), **{"if-match": first["revision"]})
     assert send(f"{address}api/skills/reach/done", "POST", '{"tab": "t"}') == {"done": "reach"}
     assert job.wait(60) == 0
-    assert [sketch.view for sketch in load(tmp_path / "run" / "sketches.json")] == ["view0", "view1"]
+    assert [sketch.view for sketch in load(tmp_path / "runs" / "default" / "now" / "0" / "sketches.json")] == ["view0", "view1"]
 
 
 @pytest.mark.slow

@@ -102,6 +102,15 @@ def test_a_run_goes_on_from_one_that_was_interrupted_but_not_from_one_that_finis
     assert len(built) == 2
 
 
+def test_foreign_files_among_the_runs_do_no_harm(tmp_path):
+    stage, _ = counting()
+    for name, text in (("a", "not json"), ("b", "[]"), ("c", "")):
+        folder = tmp_path / "runs" / "default" / name / "0"
+        folder.mkdir(parents=True)
+        (folder / "status.json").write_text(text)
+    assert not stages.run(stage, job(tmp_path, 0), {}).reused
+
+
 def test_written_json_is_whole(tmp_path):
     stages.write_json(tmp_path / "a.json", {"a": 1.5})
     assert json.loads((tmp_path / "a.json").read_text()) == {"a": 1.5}

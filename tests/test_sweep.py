@@ -27,7 +27,8 @@ def task(job):
     if Path(f"fail{seed}").exists():
         raise ValueError("the strokes of\\nseed are wrong")
     if Path(f"wait{seed}").exists():
-        time.sleep(60)
+        Path("waiting").touch()
+        time.sleep(300)
     count = job.cfg.teach.basis.count
     noise = time.time() if Path("noisy").exists() else 0
     write_json(job.run / "metrics.json", {"teach": {"mfd": 0.02 + seed / 1000 + count / 10000 + noise, "oracle_mfd": 0.01, "seconds": time.time()}})
@@ -108,7 +109,7 @@ def test_two_of_the_same_command_do_not_share_a_folder(launch, tmp_path):
     (tmp_path / "wait1").touch()
     environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[1])}
     first = subprocess.Popen([sys.executable, "job.py", "-m", "seed=0,1"], cwd=tmp_path, env=environment, stdout=subprocess.DEVNULL)
-    while not (tmp_path / "began.txt").exists() or began(tmp_path) != ["0", "1"]:
+    while not (tmp_path / "waiting").exists():
         assert first.poll() is None
     (tmp_path / "wait1").unlink()
     (sweep,) = sweeps(tmp_path)
