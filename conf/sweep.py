@@ -8,7 +8,7 @@ locked while a sweep runs in it, so that two of the same command do not share it
 
 import hashlib
 import json
-import logging
+import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,9 +18,6 @@ from omegaconf import DictConfig, OmegaConf
 
 from conf.stages import write_json
 from scene.files import read_json
-
-log = logging.getLogger("scene2skill")
-
 
 @dataclass(frozen=True)
 class Sweep:
@@ -56,8 +53,8 @@ class Sweep:
             results = collect([self.folder])
             missing = results.missing
             for job in missing:
-                log.error("job %s %s: %s", job.folder.name, job.state, job.error)
-            log.info("%s", gallery.write(results, self.folder))
+                print(f"job {job.folder.name} {job.state}: {job.error}", file=sys.stderr)
+            print(gallery.write(results, self.folder))
         write_json(self.folder / "sweep.json", begun | {"state": "finished" if missing == [] else "stopped"})
         self.lock.release()
         return 2 if missing else 0
