@@ -40,7 +40,7 @@ def views():
 def field(views):
     rng = np.random.default_rng(0)
     points = np.column_stack([rng.uniform(-0.5, 0.5, (300, 2)), np.zeros(300)])
-    return fit(views, points=points, steps=250, seed=0, progress=False)
+    return fit(views, points=points, steps=300, seed=0, progress=False, deterministic=True)
 
 
 @pytest.fixture(scope="module")

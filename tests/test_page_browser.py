@@ -119,6 +119,9 @@ def saved(tab) -> None:
 LINE = np.column_stack([np.linspace(150, 480, 25), 260 + 60 * np.sin(np.linspace(0, 4, 25))])
 
 
+FINE = np.linspace(0, 1, 400)[:, None]
+
+
 def motion(view: int, shift=0.0) -> np.ndarray:
     t = np.linspace(0, 1, 30)[:, None]
     curve = np.hstack([0.1 * np.sin(3 * t), 0.5 * t - 0.25, 0.05 + 0.5 * t * (1 - t)])
@@ -133,8 +136,11 @@ def test_a_motion_drawn_on_two_pictures_is_learned_checked_and_handed_on(visit, 
     draw(tab, 1, motion(1))
     tab.wait_for_selector("body[data-motion=shown]", timeout=60000)
     assert "known to about" in tab.inner_text("#sentence")
-    learned = tab.evaluate("page.motion.ways[0].mean")
-    assert np.abs(np.array(learned)[:, 1] - np.linspace(-0.25, 0.25, 81)).max() < 0.05
+    learned = np.array(tab.evaluate("page.motion.ways[0].mean"))
+    meant = np.hstack([0.1 * np.sin(3 * FINE), 0.5 * FINE - 0.25, 0.05 + 0.5 * FINE * (1 - FINE)])
+    off = np.linalg.norm(learned[:, None] - meant, axis=2).min(axis=1)  # whatever the speed at which a busy machine moved the mouse
+    assert np.median(off) < 0.05 and off.max() < 0.08, off.max()  # a single stroke a view
+    np.testing.assert_allclose(learned[[0, -1], 1], [-0.25, 0.25], atol=0.05)
     tab.click("#act >> text=Check")
     tab.wait_for_selector("#verdict:not([hidden])")
     assert tab.inner_text("#verdict") == "The arm cannot do it: the mean: finger touches cup at 40 %."
