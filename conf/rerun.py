@@ -1,13 +1,13 @@
 """scene2skill rerun=runs/<experiment>/<time>/<number>: a stored job is done once more, and it is said whether the result agrees."""
 
-import json
 import time
 from pathlib import Path
 
 import numpy as np
 import yaml
 
-from conf.results import figures_of
+from conf.results import code_of, figures_of
+from conf.stages import status_of
 
 TIMES = ("seconds", "render_seconds", "total_seconds")
 """Figures that no two runs share."""
@@ -37,14 +37,9 @@ def verdict(run: Path, before: Path) -> list[str]:
     compared = [name for name in known if name.rpartition(".")[2] not in TIMES]
     differing = [name for name in compared if not np.array_equal(figures.get(name, np.nan), known[name], equal_nan=True)]
     if not compared:
-        return [f"{before} has no figures to compare with: it was {_provenance(before, 'status.json').get('state')}"]
+        return [f"{before} has no figures to compare with: it was {status_of(before).get('state')}"]
     if not differing:
         return [f"agrees with {before}: all {len(compared)} figures are equal"]
-    codes = [_provenance(folder, "provenance.json").get("git") for folder in (before, run)]
+    codes = [code_of(folder) for folder in (before, run)]
     said = [f"does not agree with {before}: {len(differing)} of {len(compared)} figures differ" + (", and so does the code" if codes[0] != codes[1] else "")]
     return said + [f"{name}: {known[name]:.6g} then, {figures.get(name, np.nan):.6g} now" for name in differing]
-
-
-def _provenance(folder: Path, name: str) -> dict:
-    path = folder / name
-    return json.loads(path.read_text()) if path.exists() else {}

@@ -120,6 +120,12 @@ def figures_of(run: Path) -> dict[str, float]:
     return dict(flat(metrics, ""))
 
 
+def code_of(run: Path) -> str | None:
+    """The commit of the code that a job ran; None where it is not known."""
+    path = run / "provenance.json"
+    return read_json(path, "").get("git") if path.exists() else None
+
+
 def interval(values: np.ndarray) -> tuple[float, float, int, float, float]:
     """Mean, standard deviation (n - 1), n and the 95 % confidence interval of the mean; nan leaves out."""
     from scipy.stats import t
@@ -192,11 +198,11 @@ def _job(folder: Path) -> JobResult:
     status = read_json(folder / "status.json", f"no job lies in {folder}")
     overrides = folder / ".hydra" / "overrides.yaml"
     pairs = [line.partition("=") for line in (yaml.safe_load(overrides.read_text()) or [])] if overrides.exists() else []
-    provenance, sketches = folder / "provenance.json", folder / "sketches.json"
+    sketches = folder / "sketches.json"
     state = "did not come to its end" if status["state"] == "running" else status["state"]
     return JobResult(
         folder, state, status.get("error", "stopped"), {key.lstrip("+~"): value for key, _, value in pairs}, figures_of(folder),
-        read_json(provenance, "")["git"] if provenance.exists() else None,
+        code_of(folder),
         hashlib.sha256(sketches.read_bytes()).hexdigest() if sketches.exists() else None,
     )  # fmt: skip
 

@@ -53,7 +53,7 @@ def launch(task, *overrides: str) -> int:
     sweep = None
     try:
         sys.argv[1:] = rerun.expanded(sys.argv[1:])
-        sweep = Sweep.begin(sys.argv[1:], _git("rev-parse", "HEAD"))
+        sweep = Sweep.begin(sys.argv[1:], lambda: _git("rev-parse", "HEAD"))
         if sweep is not None:
             sys.argv.append(f"hydra.sweep.dir='{sweep.folder}'")
         hydra_main()

@@ -31,7 +31,7 @@ def capture(job: Job, out: Path) -> dict:
         for i, camera in enumerate(progress(cameras, "photographs")):
             save_image(out / "photos" / f"{i:04d}.png", world.photograph(camera))
         TagLayout(world.tag_size, world.base_from_tag).save(out / "tags.json")
-    truth = {f"{i:04d}": _plain_camera(camera) for i, camera in enumerate(cameras)}
+    truth = {f"{i:04d}": camera.plain() for i, camera in enumerate(cameras)}
     write_json(out / "truth.json", {"world": job.settings("world"), "cameras": truth})
     return {"photographs": len(cameras)}
 
@@ -229,8 +229,3 @@ def _varied_world(job: Job) -> dict:
     from robot.variation import varied
 
     return varied(job.settings("world"))
-
-
-def _plain_camera(camera) -> dict:
-    return {"K": camera.K.tolist(), "world_from_camera": camera.world_from_camera.tolist(),
-            "width": camera.width, "height": camera.height}  # fmt: skip

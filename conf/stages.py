@@ -120,7 +120,7 @@ def adopt(stage: Stage, job: Job, wanted: Callable[[str, Record], bool]) -> Reco
     experiment = job.run.parent.parent
     earlier = sorted(experiment.glob("*/*/status.json"), key=lambda path: path.stat().st_mtime, reverse=True)
     for path in earlier:
-        status = _status(path)
+        status = status_of(path.parent)
         if path.parent == job.run or status.get("capture") != str(job.capture) or (record := find(stage, path.parent)) is None:
             continue
         if wanted(status["state"], record):
@@ -128,11 +128,11 @@ def adopt(stage: Stage, job: Job, wanted: Callable[[str, Record], bool]) -> Reco
     return None
 
 
-def _status(path: Path) -> dict:
-    """What a run says of itself; nothing, if the file is another's."""
+def status_of(run: Path) -> dict:
+    """What a run says of itself in status.json; nothing where there is none, or where the file is another's."""
     try:
-        status = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError:
+        status = json.loads((run / "status.json").read_text(encoding="utf-8"))
+    except (FileNotFoundError, ValueError):
         return {}
     return status if isinstance(status, dict) else {}
 

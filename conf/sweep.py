@@ -10,13 +10,14 @@ import hashlib
 import json
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 from filelock import FileLock, Timeout
 from omegaconf import DictConfig, OmegaConf
 
-from conf.stages import write_json
+from conf.stages import status_of, write_json
 from scene.files import read_json
 
 @dataclass(frozen=True)
@@ -27,14 +28,14 @@ class Sweep:
     lock: FileLock
 
     @classmethod
-    def begin(cls, arguments: list[str], code: str | None) -> "Sweep | None":
+    def begin(cls, arguments: list[str], commit: Callable[[], str | None]) -> "Sweep | None":
         """The sweep that this command line starts or goes on with; None where it asks for a single job.
 
-        code: commit of the code; other code begins anew, since results of both do not belong in one table.
+        commit(): of the code; other code begins anew, since results of both do not belong in one table.
         """
         if not {"-m", "--multirun"} & set(arguments):
             return None
-        key = {"arguments": arguments, "git": code}
+        key = {"arguments": arguments, "git": commit()}
         folder = _chosen(arguments) or _unfinished(key) or _new(arguments)
         folder.mkdir(parents=True, exist_ok=True)
         lock = _lock(folder)
@@ -68,8 +69,7 @@ def settings_key(cfg: DictConfig) -> str:
 
 def is_finished(run_folder: Path, settings: str) -> bool:
     """Whether the job of this folder came to its end with these settings."""
-    path = run_folder / "status.json"
-    status = json.loads(path.read_text()) if path.exists() else {}
+    status = status_of(run_folder)
     return status.get("state") == "finished" and status.get("settings") == settings
 
 

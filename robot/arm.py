@@ -15,12 +15,12 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-import yaml
 
 from robot import inverse, kinematics
 from robot.inverse import NoSolution, Tool
 from robot.kinematics import FIXED, POSE, POSITION, PRISMATIC, REVOLUTE, Tree
 from robot.urdf import MOVING, Urdf
+from scene.files import read_yaml
 
 PACKAGES = ("pybullet_data", "robot")  # that a URDF's path may start in
 DEFAULT_VELOCITY, DEFAULT_ACCELERATION = 1.0, 2.5  # rad/s, rad/s^2 where neither the URDF nor the YAML says anything
@@ -308,12 +308,7 @@ class Arm:
 
 def _read(file) -> dict:
     """What a YAML file holds. Raises FileNotFoundError, or ValueError for what is no mapping."""
-    if not file.is_file():
-        raise FileNotFoundError(f"no arm file {file}")
-    try:
-        spec = yaml.safe_load(file.read_text(encoding="utf-8"))
-    except yaml.YAMLError as error:
-        raise ValueError(f"{file} is not YAML: {error}") from None
+    spec = read_yaml(file, f"no arm file {file}")
     if not isinstance(spec, dict):
         raise ValueError(f"{file} must hold an arm's settings, such as urdf: my_arm.urdf")
     return spec

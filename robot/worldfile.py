@@ -24,10 +24,9 @@ file has the child, ``lower`` and ``upper`` [m or rad] are from there.
 from importlib.resources import files
 from pathlib import Path
 
-import yaml
-
 from robot import conditions, thing
 from robot.fields import direction, known, mappings, near, positive, vector
+from scene.files import read_yaml
 
 JOINTS = ("prismatic", "revolute")
 KEYS = {"name", "seed", "objects", "joints", "held", "touch", "tags", "workspace", "view", "sketch_views", "motion", "goal", "success",
@@ -54,12 +53,7 @@ def read(name_or_path) -> dict:
     """The checked, not yet varied, data of a world. Raises FileNotFoundError or ValueError."""
     path = Path(name_or_path)
     source = path if path.suffix else files("conf") / "world" / f"{name_or_path}.yaml"
-    if not source.is_file():
-        raise FileNotFoundError(f"unknown world {str(name_or_path)!r}; there are {', '.join(names())}, or give the path of a YAML file")
-    try:
-        data = yaml.safe_load(source.read_text(encoding="utf-8"))
-    except yaml.YAMLError as error:
-        raise ValueError(f"{source} is not YAML: {error}") from None
+    data = read_yaml(source, f"unknown world {str(name_or_path)!r}; there are {', '.join(names())}, or give the path of a YAML file")
     check(data)
     return data
 

@@ -51,6 +51,10 @@ class Camera:
         K = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
         return cls(K, world_from_camera, width, height)
 
+    def plain(self) -> dict:
+        """As plain numbers, for JSON: Camera(**camera.plain()) is the same camera."""
+        return {"K": self.K.tolist(), "world_from_camera": self.world_from_camera.tolist(), "width": self.width, "height": self.height}
+
     @property
     def centre(self) -> np.ndarray:
         """Optical centre in the world (3,) [m]."""

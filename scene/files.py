@@ -30,6 +30,18 @@ def read_json(path: Path, missing: str):
         raise ValueError(f"{path} is not JSON: {error}") from error
 
 
+def read_yaml(path, missing: str):
+    """What a YAML file (a path, or a package's resource) holds, as ``read_json`` of JSON."""
+    import yaml
+
+    if not path.is_file():
+        raise FileNotFoundError(missing)
+    try:
+        return yaml.safe_load(path.read_text(encoding="utf-8"))
+    except yaml.YAMLError as error:
+        raise ValueError(f"{path} is not YAML: {error}") from None
+
+
 def parse_json(path: str | Path, what: str, parse: Callable):
     """parse(what a JSON file holds). Raises FileNotFoundError, or ValueError naming the file and what parse misses in it or
     finds wrong."""

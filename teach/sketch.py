@@ -257,15 +257,9 @@ def _require(document) -> None:
 
 
 def _plain(sketch: Sketch) -> dict:
-    camera = sketch.camera
     return {
         "view": sketch.view,
-        "camera": {
-            "K": camera.K.tolist(),
-            "world_from_camera": camera.world_from_camera.tolist(),
-            "width": camera.width,
-            "height": camera.height,
-        },
+        "camera": sketch.camera.plain(),
         "strokes": [_plain_stroke(stroke) for stroke in sketch.strokes],
     }
 

@@ -100,10 +100,6 @@ def camera_of(plain: dict) -> Camera:
     return camera
 
 
-def plain_camera(camera: Camera) -> dict:
-    return {"K": camera.K.tolist(), "world_from_camera": camera.world_from_camera.tolist(), "width": camera.width, "height": camera.height}
-
-
 def name_of(request: Request) -> str:
     return checked_name(request.path_params["name"])
 

@@ -34,7 +34,7 @@ from starlette.staticfiles import StaticFiles
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from scene.files import replacing
-from teach.page.asked import RENDER, SUGGEST, WORK, Wrong, answering, body_of, camera_of, json_answer, name_of, not_found, plain_camera
+from teach.page.asked import RENDER, SUGGEST, WORK, Wrong, answering, body_of, camera_of, json_answer, name_of, not_found
 from teach.page.guard import LOOPBACK, Guard
 from teach.page.scene import Scene
 from teach.page.store import MAX_BODY, Store, checked_name, parse, revision_of
@@ -124,7 +124,7 @@ async def _file(path: Path, request: Request) -> Response:
 
 async def _scene(page: Page, request: Request) -> Response:
     scene = page.scene
-    views = [{"name": name, "kind": view.kind, "camera": plain_camera(view.camera)} for name, view in scene.views.items()]
+    views = [{"name": name, "kind": view.kind, "camera": view.camera.plain()} for name, view in scene.views.items()]
     can = {name: name in page.works for name in ("fit", "render", "suggest", "plan", "perform")} | {"finish": page.finished is not None}
     about = {"title": scene.title, "unit": scene.unit, "surfaces": list(scene.surfaces), "target": list(scene.target)}
     return json_answer(about | {"views": views, "can": can})
@@ -160,7 +160,7 @@ async def _render(page: Page, request: Request) -> Response:
     """What the field shows from a camera. keep: the picture is drawn on, so it is wanted again."""
     asked = await body_of(request, RENDER)
     camera = camera_of(asked["camera"])
-    kept = page.file(".pictures", hashlib.sha256(json.dumps(plain_camera(camera)).encode()).hexdigest()[:24], ".jpg")
+    kept = page.file(".pictures", hashlib.sha256(json.dumps(camera.plain()).encode()).hexdigest()[:24], ".jpg")
     if kept.is_file():
         return FileResponse(kept, media_type="image/jpeg")
     image = await _work(page, request, "render", asked["tab"], None, camera)
@@ -176,7 +176,7 @@ async def _suggest(page: Page, request: Request) -> Response:
     asked = await body_of(request, SUGGEST)
     sketches = await run_in_threadpool(lambda: parse(page.store.read(checked_name(asked["skill"]))))
     camera, sentence = await _work(page, request, "suggest", asked["tab"], asked["skill"], sketches)
-    return json_answer({"camera": plain_camera(camera), "sentence": sentence})
+    return json_answer({"camera": camera.plain(), "sentence": sentence})
 
 
 async def _names(page: Page, request: Request) -> Response:

@@ -367,7 +367,7 @@ class Page {
     dialog.querySelector('input').value = value
     dialog.showModal()
     dialog.querySelector('input').select()
-    return new Promise(done => dialog.addEventListener('close', () => done(dialog.returnValue === 'ok' ? dialog.querySelector('input').value.trim() : null), {once: true}))
+    return await this.agreed(dialog) ? dialog.querySelector('input').value.trim() : null
   }
 
   async confirm(title, words, act) {
@@ -376,6 +376,10 @@ class Page {
     dialog.querySelector('p').textContent = words
     dialog.querySelector('[value=ok]').textContent = act
     dialog.showModal()
+    return this.agreed(dialog)
+  }
+
+  agreed(dialog) {
     return new Promise(done => dialog.addEventListener('close', () => done(dialog.returnValue === 'ok'), {once: true}))
   }
 }
