@@ -31,7 +31,7 @@ def field_errors(field, held_out, folder: Path, world_spec: dict | None) -> dict
     The rendered pictures are kept in ``folder`` for the report.
     """
     from scene.dataset import save_image
-    from scene.volume import psnr
+    from scene.field.volume import psnr
 
     folder.mkdir(exist_ok=True)
     started = time.perf_counter()

@@ -115,7 +115,7 @@ def _obstacles(job: Job, skill, arm) -> dict:
     import numpy as np
 
     from robot.obstacles import on_the_arm
-    from scene.space import Space
+    from scene.surface.space import Space
 
     start = arm.fk(arm.home)[:3, 3]
     paths = [way.distribution.mean_at(np.linspace(0, 1, 100)) for way in skill.starting_at(start)]

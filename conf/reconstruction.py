@@ -50,9 +50,9 @@ def model_of(job: Job, photographs: Path, out: Path, setting, progress: bool):
 def _by_tags(job: Job, source, out: Path, setting, size: dict):
     """The cameras of two photographs or more from the tags that they show."""
     from scene import colmap
-    from scene.apriltag import TagLayout
     from scene.dataset import load_photographs
     from scene.frame import choose
+    from scene.frame.apriltag import TagLayout
 
     if source.kind != "photographs":
         raise ValueError(f"scene/resection finds the cameras of photographs, and {source.path} is a {source.kind} source: leave it out")

@@ -22,8 +22,8 @@ log = logging.getLogger("scene2skill")
 def capture(job: Job, out: Path) -> dict:
     """A simulated world is photographed, as a person with a camera would."""
     from robot.world import World
-    from scene.apriltag import TagLayout
     from scene.dataset import save_image
+    from scene.frame.apriltag import TagLayout
 
     hemisphere = setting(job, "robot.photographs")
     with World.from_spec(job.settings("world")) as world:
@@ -102,8 +102,8 @@ def surface(job: Job, out: Path) -> dict:
     from scene.dataset import load_views, save_image
     from scene.field import Field
     from scene.paths import orbit
-    from scene.space import FREE, UNSEEN
     from scene.surface import drawn
+    from scene.surface.space import FREE, UNSEEN
 
     cameras = {view.name: view.camera for view in load_views(job.capture)}
     field = Field.load(job.capture / "field.pt")

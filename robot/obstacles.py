@@ -2,7 +2,7 @@
 seen.
 
     collision/*.obj     convex pieces of the mesh                                   (scene.surface)
-    space               what of space is free, occupied, unseen                      (scene.space.Space)
+    space               what of space is free, occupied, unseen                      (scene.surface.space.Space)
 
 Unseen space counts as occupied within ``near`` of the taught path. Around the arm as it stands at the start it does
 not: that it stands there shows that the place is free.
@@ -22,7 +22,7 @@ UNSEEN = "unseen"
 def reconstructed(folder: str | Path, space, path, around, *, near: float = 0.25, free: float = 0.25) -> dict:
     """The data of a world (robot.worldfile) of the pieces in ``folder``/collision and of what is unseen near the path.
 
-    space: scene.space.Space or None, when nothing counts as unseen. path: (N, 3) points that the tip may pass; around:
+    space: scene.surface.space.Space or None, when nothing counts as unseen. path: (N, 3) points that the tip may pass; around:
     (M, 3) points on the arm at the start. near: how far from the path unseen space counts as occupied; free: how far
     around the arm it does not [m]. Raises FileNotFoundError where there is no piece. """
     pieces = sorted((Path(folder) / "collision").glob("*.obj"))

@@ -2,7 +2,7 @@
 
     field = fit(views, points=points, seed=0)
 
-Coarse to fine: while training goes on, levels join the pyramid (`scene.grid`), the pictures get larger and the space
+Coarse to fine: while training goes on, levels join the pyramid (`scene.field.grid`), the pictures get larger and the space
 that rays pass through shrinks to what is seen. The points of the reconstruction say where surfaces are to be expected.
 
 Pictures taken before a plain backdrop (`scene.photographs.backdrop`) keep its colour behind everything. Other scenes go on
@@ -19,11 +19,10 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from scene import kernels, occupancy
-from scene.descent import KernelDescent, Rates
-from scene.field import Field, Shading
+from scene.field import Field, Shading, kernels, occupancy
+from scene.field.descent import KernelDescent, Rates
+from scene.field.grid import Grid
 from scene.files import replacing
-from scene.grid import Grid
 from scene.photographs import Photographs, backdrop
 
 SCALE = 50.0

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from scene.apriltag import FAMILY, FAMILY_SIZE, TagLayout
 from scene.files import replacing
+from scene.frame.apriltag import FAMILY, FAMILY_SIZE, TagLayout
 
 PAPERS = {"a4": (210.0, 297.0), "letter": (215.9, 279.4)}
 """Width and height [mm]."""

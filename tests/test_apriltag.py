@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
-
-from scene import apriltag
-from scene.apriltag import TagLayout
-from scene.camera import Camera, look_at
-from scene.colmap import ReconstructionFailed
 from similarities import random_similarity, unscaled
+
+from scene.camera import Camera, look_at
+from scene.frame import apriltag
+from scene.frame.apriltag import TagLayout
+from scene.model import ReconstructionFailed
 
 TAGS = Path(__file__).parents[2] / "shared" / "data" / "tags"
 SIZE = 0.12

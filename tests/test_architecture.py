@@ -17,7 +17,7 @@ MAY_IMPORT = {
     "robot": {"robot", "teach.trajectory", "teach.sketch", "teach.hull", "scene.camera", "scene.files"},
     "conf": {"conf", "scene", "teach", "robot"},
 }
-ONLY_IN = {"pycolmap": ("scene/colmap.py",), "open3d": ("scene/surface.py",), "pybullet": ("robot/bullet.py",), "pybullet_utils": ("robot/bullet.py",),
+ONLY_IN = {"pycolmap": ("scene/colmap/",), "open3d": ("scene/surface/",), "pybullet": ("robot/bullet.py",), "pybullet_utils": ("robot/bullet.py",),
            "pybullet_data": ("robot/",), "hydra": ("conf/",), "omegaconf": ("conf/",)}  # fmt: skip
 
 

@@ -12,8 +12,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from scene import apriltag, colmap, dataset, frame, mapping, masks
+from scene import colmap, dataset, masks
 from scene.camera import Camera, look_at
+from scene.colmap import mapping
+from scene.frame import apriltag, gravity
+from scene.frame.similarity import umeyama
 
 DATA = Path(__file__).parents[2] / "shared" / "data"
 ROOT = Path(__file__).parents[1]
@@ -126,7 +129,7 @@ def camera_errors(model, similarity, true):
 def test_every_photograph_is_registered_and_the_cameras_are_right_up_to_a_similarity(capture):
     _, _, model = capture
     true = cameras(12)
-    similarity = frame.umeyama(np.array([c.centre for c in model.cameras]), np.array([c.centre for c in true]))
+    similarity = umeyama(np.array([c.centre for c in model.cameras]), np.array([c.centre for c in true]))
     mm, degrees = camera_errors(model, similarity, true)
     assert (model.registered, model.total, model.unregistered) == (12, 12, ())
     assert model.names == tuple(f"{i:02d} photo" for i in range(12))
@@ -147,7 +150,7 @@ def test_tags_bring_the_model_to_the_robots_frame(capture):
 
 def test_gravity_points_up_in_a_frame_without_tags(capture):
     _, _, model = capture
-    to_robot, arbitrary = apriltag.align(model, tag_layout()), frame.gravity_frame(model.cameras, model.points)
+    to_robot, arbitrary = apriltag.align(model, tag_layout()), gravity.align(model)
     up = to_robot.rotation @ arbitrary.rotation.T @ [0, 0, 1]
     assert np.degrees(np.arccos(up[2])) < 1
     assert arbitrary.frame == "arbitrary"
@@ -179,7 +182,7 @@ def test_of_many_photographs_only_those_that_look_alike_are_matched(capture, tmp
     photographs, _, _ = capture
     model = colmap.reconstruct(photographs, tmp_path / "work", exhaustive=5, alike=2, progress=False)
     true = cameras(12)
-    similarity = frame.umeyama(np.array([c.centre for c in model.cameras]), np.array([c.centre for c in true]))
+    similarity = umeyama(np.array([c.centre for c in model.cameras]), np.array([c.centre for c in true]))
     mm, degrees = camera_errors(model, similarity, true)
     assert model.registered == 12
     assert np.median(mm) < 5 and np.median(degrees) < 0.3
@@ -200,7 +203,7 @@ def test_a_bent_lens_is_straightened_and_large_pictures_are_scaled(tmp_path):
     assert model.registered >= 7 and model.views()[0].image.shape == (240, 320, 3)
     assert all(view.image.min(axis=-1)[[0, -1]].any() for view in model.views())
     true = [camera for i, camera in enumerate(cameras(8, 360, 270)) if str(i) in model.names]
-    similarity = frame.umeyama(np.array([c.centre for c in model.cameras]), np.array([c.centre for c in true]))
+    similarity = umeyama(np.array([c.centre for c in model.cameras]), np.array([c.centre for c in true]))
     assert np.median(camera_errors(model, similarity, true)[0]) < 5
     for view in model.views()[:3]:  # the straightened picture is what a pinhole there would have taken
         pinhole = render(faces, similarity.move(view.camera))
@@ -280,9 +283,9 @@ scene.colmap.reconstruct(sys.argv[2:], sys.argv[1], progress=False)
 
 
 ORDERS = {
-    "scene_first": "import scene.colmap, numpy as np, cv2; scene.colmap._pycolmap()",
-    "numpy_first": "import numpy as np, cv2, scene.colmap; scene.colmap._pycolmap()",
-    "others_after": "import scene.colmap; scene.colmap._pycolmap(); import scipy.optimize, numpy as np, cv2",
+    "scene_first": "import scene.colmap.process, numpy as np, cv2; scene.colmap.process.load_pycolmap()",
+    "numpy_first": "import numpy as np, cv2, scene.colmap.process; scene.colmap.process.load_pycolmap()",
+    "others_after": "import scene.colmap.process; scene.colmap.process.load_pycolmap(); import scipy.optimize, numpy as np, cv2",
     "unused": "import scene.colmap, numpy as np, cv2",
 }
 
@@ -304,7 +307,7 @@ Image.fromarray(image).save("b.png")
 
 
 def test_importing_the_room_does_not_import_pycolmap():
-    code = "import sys, json, scene.colmap, scene.apriltag, scene.dataset; print(json.dumps(sorted(sys.modules)))"
+    code = "import sys, json, scene.colmap, scene.frame.apriltag, scene.dataset; print(json.dumps(sorted(sys.modules)))"
     modules = json.loads(subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True, capture_output=True).stdout)
     assert not {"pycolmap", "cv2", "torch", "scipy"} & set(modules)
 
@@ -320,7 +323,7 @@ def test_at_least_fifteen_of_the_sixteen_banana_photographs_register(tmp_path):
     model = colmap.reconstruct(dataset.load_photographs(tmp_path / "photographs"), tmp_path, progress=False)
     assert model.registered >= 15 and model.reprojection_px < 1
     assert model.views()[0].image.shape == (681, 1024, 3)
-    level = frame.gravity_frame(model.cameras, model.points)
+    level = gravity.align(model)
     heights = [level.move(camera).centre[2] for camera in model.cameras]
     assert min(heights) > 0.1, "all photographs were taken from above the carpet"
 

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from scene.camera import Camera, look_at
-from scene.depth import confidence, passes, render
 from scene.field import Marched, Rays
+from scene.surface.depth import confidence, passes, render
 
 CAMERA = Camera.from_fov(look_at((0, 0, 0), (1, 0, 0)), 16, 12, 60)
 

@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-
-from scene import distance
-from scene.camera import Camera, look_at
-from scene.colmap import Model, ReconstructionFailed, straighten
-from scene.distance import Ruler
 from similarities import random_similarity, unscaled
+
+from scene.camera import Camera, look_at
+from scene.colmap import straighten
+from scene.frame import distance
+from scene.frame.distance import Ruler
+from scene.model import Model, ReconstructionFailed
 
 A, B = np.array([0.3, -0.4, 0.0]), np.array([0.9, 0.4, 0.0])
 ORIGIN, FORWARD = np.array([0.25, 0.1, 0.02]), np.array([0.85, 0.1, 0.15])

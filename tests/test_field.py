@@ -8,8 +8,8 @@ from hypothesis.extra.numpy import arrays
 
 from scene.camera import Camera, View, look_at, orbit
 from scene.field import CHANNELS, QUANTA, Field, _rounded, _unrounded
+from scene.field.volume import psnr
 from scene.fit import fit
-from scene.volume import psnr
 
 SIZE = 48
 

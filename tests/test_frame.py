@@ -1,15 +1,18 @@
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from similarities import random_similarity, unscaled
 
 from scene import frame
 from scene.camera import Camera, look_at
-from scene.colmap import Model, ReconstructionFailed
-from similarities import random_similarity, unscaled
+from scene.frame import gravity
+from scene.frame.similarity import jacobian, judged, umeyama, with_uncertainty
+from scene.model import Model, ReconstructionFailed
 
 
 def cameras(count=8):
@@ -23,20 +26,20 @@ def cameras(count=8):
 def test_umeyama_finds_the_similarity_that_made_the_points(seed):
     true = random_similarity(seed)
     points = np.random.default_rng(seed + 1).normal(size=(5, 3))
-    found = frame.umeyama(points, true.apply(points))
+    found = umeyama(points, true.apply(points))
     assert np.allclose(found.matrix, true.matrix, atol=1e-8)
 
 
 def test_mirrored_points_are_answered_by_a_rotation_and_never_by_a_mirror():
     points = np.random.default_rng(0).normal(size=(6, 3)) * [1, 0.8, 0.1]
-    found = frame.umeyama(points, points * [1, 1, -1])
+    found = umeyama(points, points * [1, 1, -1])
     assert np.linalg.det(found.rotation) == pytest.approx(1)
 
 
 def test_points_on_a_line_give_no_frame():
     line = np.linspace(0, 1, 6)[:, None] * [1.0, 2.0, 3.0]
     with pytest.raises(ReconstructionFailed, match="one line"):
-        frame.umeyama(line, line)
+        umeyama(line, line)
 
 
 def test_a_similarity_moves_points_and_cameras_alike():
@@ -51,7 +54,7 @@ def test_a_similarity_moves_points_and_cameras_alike():
 
 def test_gravity_is_found_from_upright_cameras_in_any_frame():
     true = random_similarity(3)
-    found = frame.gravity_frame(unscaled(true, cameras()), np.zeros((0, 3)))
+    found = gravity.align(SimpleNamespace(cameras=unscaled(true, cameras()), points=np.zeros((0, 3))))
     up = true.rotation @ found.rotation.T @ [0, 0, 1]
     assert up == pytest.approx([0, 0, 1], abs=1e-6)
     distances = [np.linalg.norm(found.move(c).centre) for c in unscaled(true, cameras())]
@@ -65,18 +68,18 @@ def test_the_ground_corrects_cameras_that_were_held_askew():
     points = np.concatenate([ground, rng.uniform(-0.3, 0.3, (100, 3)) + [0, 0, 0.3]])
     roll = np.array([[np.cos(0.1), -np.sin(0.1), 0, 0], [np.sin(0.1), np.cos(0.1), 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
     askew = [Camera(c.K, c.world_from_camera @ roll, c.width, c.height) for c in cameras()]
-    up = frame.gravity_frame(askew, points).rotation[2]
+    up = gravity.align(SimpleNamespace(cameras=askew, points=points)).rotation[2]
     assert np.degrees(np.arccos(up[2])) < 0.2
 
 
 def test_cameras_side_by_side_still_have_an_up():
     row = [Camera.from_fov(look_at((x, -2.0, 1.0), (x, 0.0, 0.0)), 64, 48, 50) for x in (0.0, 0.1, 0.2)]
-    found = frame.gravity_frame(row, np.random.default_rng(0).normal(size=(50, 3)))
+    found = gravity.align(SimpleNamespace(cameras=row, points=np.random.default_rng(0).normal(size=(50, 3))))
     assert np.isfinite(found.matrix).all() and found.rotation[2] @ [0, 0, 1] > 0.8
 
 
 def test_a_level_frame_looks_along_the_given_direction():
-    rotation = frame.level(np.array([0, 0, 1.0]), cameras()[0], np.array([0, 2.0, 5.0]))
+    rotation = gravity.level(np.array([0, 0, 1.0]), cameras()[0], np.array([0, 2.0, 5.0]))
     assert np.allclose(rotation, [[0, 1, 0], [-1, 0, 0], [0, 0, 1]])
 
 
@@ -89,7 +92,7 @@ def test_the_jacobian_is_that_of_a_small_similarity(seed):
     rng = np.random.default_rng(seed)
     points, about, true = rng.normal(size=(4, 3)), rng.normal(size=3), random_similarity(seed)
     numeric = [(true.nudged(h, about).apply(points) - true.nudged(-h, about).apply(points)) / 2e-6 for h in 1e-6 * np.eye(7)]
-    assert np.allclose(frame.jacobian(true.apply(points), about), np.stack(numeric, axis=-1), atol=1e-6)
+    assert np.allclose(jacobian(true.apply(points), about), np.stack(numeric, axis=-1), atol=1e-6)
 
 
 def test_the_told_uncertainty_is_the_error_that_noise_makes():
@@ -99,19 +102,19 @@ def test_the_told_uncertainty_is_the_error_that_noise_makes():
     points = np.linalg.solve(true.matrix, np.c_[places, np.ones(12)].T).T[:, :3]
     seen, errors = unscaled(true, cameras()), []
     for _ in range(400):
-        found = frame.umeyama(points, places + rng.normal(0, 1e-3, places.shape))
+        found = umeyama(points, places + rng.normal(0, 1e-3, places.shape))
         errors += [np.linalg.norm(found.move(a).centre - b.centre) for a, b in zip(seen, cameras())]
-    J = frame.jacobian(places, places.mean(axis=0)).reshape(-1, 7)
-    told = frame.with_uncertainty(true, J, 1e-3, seen, places.mean(axis=0)).uncertainty_mm
+    J = jacobian(places, places.mean(axis=0)).reshape(-1, 7)
+    told = with_uncertainty(true, J, 1e-3, seen, places.mean(axis=0)).uncertainty_mm
     assert told == pytest.approx(1000 * np.sqrt(np.mean(np.square(errors))), rel=0.05)
 
 
 def test_an_unsure_frame_is_said_and_a_useless_one_refused():
-    sure, unsure = frame.judged(random_similarity(0), 4.9), frame.judged(random_similarity(0), 12)
+    sure, unsure = judged(random_similarity(0), 4.9), judged(random_similarity(0), 12)
     assert sure.warnings == () and "12 mm" in unsure.warnings[0] and unsure.uncertainty_mm == 12
     for off in (51, 1e9, float("inf"), float("nan")):
         with pytest.raises(ReconstructionFailed, match="rest on"):
-            frame.judged(random_similarity(0), off)
+            judged(random_similarity(0), off)
 
 
 # What is found beside the photographs

@@ -6,8 +6,8 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from scene import grid as grids
-from scene.grid import BRICK, CHANNELS, Grid
+from scene.field import grid as grids
+from scene.field.grid import BRICK, CHANNELS, Grid
 
 
 def random_grid(seed=0, sizes=(16, 52)):

@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
-
-from scene import handeye
-from scene.camera import Camera, look_at
-from scene.colmap import ReconstructionFailed
 from similarities import random_similarity, unscaled
+
+from scene.camera import Camera, look_at
+from scene.frame import handeye
+from scene.model import ReconstructionFailed
 
 
 def rigid(rotvec, translation):

@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 import torch
 
-from scene import kernels, volume
-from scene.descent import KernelDescent, Rates
-from scene.field import Field, Shading
-from scene.grid import BRICK, Grid, interpolate
-from scene.occupancy import Occupancy, cells, contract
+from scene.field import Field, Shading, kernels, volume
+from scene.field.descent import KernelDescent, Rates
+from scene.field.grid import BRICK, Grid, interpolate
+from scene.field.occupancy import Occupancy, cells, contract
 
 
 @pytest.fixture
@@ -96,7 +95,7 @@ def test_gradients_of_voxels_and_network_are_those_of_the_twin(field, rays, monk
         found["voxels"], found["network"], found["touched"] = self.gradient.copy(), network, touched.copy()
 
     monkeypatch.setattr(KernelDescent, "_move", caught)
-    monkeypatch.setattr("scene.descent.LEAST", 0.0)
+    monkeypatch.setattr("scene.field.descent.LEAST", 0.0)
     descent = KernelDescent(field, threads=1)
     bits = [np.zeros_like(field.occupied.mask) for _ in range(2)]
     jitter = np.full(n, 0.5, np.float32)
@@ -114,7 +113,7 @@ def test_gradients_of_voxels_and_network_are_those_of_the_twin(field, rays, monk
 
 
 def test_samples_whose_gradients_are_small_move_nothing(field, rays, monkeypatch):
-    monkeypatch.setattr("scene.descent.LEAST", np.inf)
+    monkeypatch.setattr("scene.field.descent.LEAST", np.inf)
     before = field.grid.values.copy()
     n = len(rays.near)
     bits = [np.zeros_like(field.occupied.mask) for _ in range(2)]

@@ -1,4 +1,4 @@
-"""scene/surface.py, on a field whose surfaces are known exactly."""
+"""scene/surface/, on a field whose surfaces are known exactly."""
 
 import numpy as np
 import open3d as o3d
@@ -8,8 +8,8 @@ from scipy.spatial import ConvexHull
 
 from scene.camera import Camera, look_at
 from scene.field import Marched, Rays
-from scene.space import FREE, OCCUPIED, UNSEEN, Space
 from scene.surface import Mesh, build, cleaned, drawn, fuse
+from scene.surface.space import FREE, OCCUPIED, UNSEEN, Space
 
 BOX, TOP = trimesh.creation.box([0.3, 0.3, 0.2]), trimesh.creation.box([1.2, 1.2, 0.04])
 BOX.apply_translation([0, 0, 0.1])

@@ -6,7 +6,7 @@ from robot.arm import Arm
 from robot.collision import WORLD, CollisionModel
 from robot.obstacles import on_the_arm, reconstructed, unseen
 from robot.world import World
-from scene.space import FREE, OCCUPIED, UNSEEN, Space
+from scene.surface.space import FREE, OCCUPIED, UNSEEN, Space
 
 
 @pytest.fixture(scope="module")

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from scene import occupancy
 from scene.camera import Camera, View, look_at, orbit
-from scene.occupancy import Occupancy
+from scene.field import occupancy
+from scene.field.occupancy import Occupancy
 
 
 @settings(max_examples=20, deadline=None)

@@ -3,7 +3,7 @@ import pytest
 import trimesh
 from scipy.spatial import ConvexHull
 
-from scene.pieces import convex_pieces
+from scene.surface.pieces import convex_pieces
 
 
 def grid(low, high, step):

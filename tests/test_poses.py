@@ -8,11 +8,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
-
-from scene import poses
-from scene.camera import Camera, invert, look_at
-from scene.colmap import ReconstructionFailed
 from similarities import random_similarity, unscaled
+
+from scene.camera import Camera, invert, look_at
+from scene.frame import poses
+from scene.model import ReconstructionFailed
 
 
 def cameras(count=20):

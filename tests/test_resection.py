@@ -7,12 +7,12 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from robot.world import World
-from scene.apriltag import TagLayout
 from scene.camera import Camera, look_at
-from scene.colmap import ReconstructionFailed
 from scene.dataset import save_image
-from scene.pnp import solve
+from scene.frame.apriltag import TagLayout
+from scene.model import ReconstructionFailed
 from scene.resection import resect
+from scene.resection.pnp import solve
 
 SIZE = (640, 480)
 

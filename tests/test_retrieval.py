@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from scene.retrieval import pairs_to_match, signatures
+from scene.colmap.retrieval import pairs_to_match, signatures
 
 
 def places(count, photographs, seed=0, noise=0.2, order=None):

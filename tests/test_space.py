@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from scene.camera import Camera, look_at
-from scene.space import FREE, OCCUPIED, UNSEEN, Space, carve
+from scene.surface.space import FREE, OCCUPIED, UNSEEN, Space, carve
 
 CAMERAS = [Camera.from_fov(look_at(eye, (0, 0, 0)), 80, 60, 60) for eye in ((0.1, 0, 2), (-0.1, 0.1, 2), (0, -0.1, 2.1))]
 

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from scene import sheet, tags
-from scene.apriltag import TagLayout, detect
+from scene.frame.apriltag import TagLayout, detect
 
 ROOT = Path(__file__).parents[1]
 OFFICIAL = Path(__file__).parents[2] / "shared" / "data" / "tags"

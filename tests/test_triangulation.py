@@ -3,7 +3,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from scene.camera import Camera, look_at
-from scene.triangulation import triangulate
+from scene.frame.triangulation import triangulate
 
 
 def cameras(count=8):

@@ -5,9 +5,9 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from scene import coverage, motions, viewpoints
+from scene import viewpoints
 from scene.camera import Camera, look_at, orbit
-from scene.viewpoints import Hand, expected_error, propose_next, propose_pair
+from scene.viewpoints import Hand, coverage, expected_error, motions, propose_next, propose_pair
 
 BOX = np.array([-0.3, -0.3, 0.2]), np.array([0.3, 0.3, 0.6])
 MIDDLE = np.array([0.0, 0.0, 0.4])

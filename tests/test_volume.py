@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from scene.volume import composite, contract, median_depth, opacity, psnr
+from scene.field.volume import composite, contract, median_depth, opacity, psnr
 
 
 def slab(sigma, length, samples=200):

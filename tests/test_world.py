@@ -119,8 +119,8 @@ def test_depth_is_metric_along_the_optical_axis_and_nan_where_nothing_is():
 
 
 def test_the_official_tag_is_seen_upright_at_the_place_it_is_said_to_be(tiny):
-    """scene.apriltag finds each tag's corners where the poses put them, in the official order."""
-    from scene.apriltag import TagLayout, detect
+    """scene.frame.apriltag finds each tag's corners where the poses put them, in the official order."""
+    from scene.frame.apriltag import TagLayout, detect
 
     camera = Camera.from_fov(look_at([0.1, -0.5, 1.1], [0.62, 0.0, 0.12]), 640, 480, 50)
     layout, found = TagLayout(tiny.tag_size, tiny.base_from_tag), detect(tiny.photograph(camera))

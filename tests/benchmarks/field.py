@@ -15,8 +15,8 @@ import numpy as np
 
 from conf.scene_stages import split
 from scene.dataset import load_points, load_views
+from scene.field.volume import psnr
 from scene.fit import fit
-from scene.volume import psnr
 
 
 def scaled(view, width):

@@ -23,10 +23,10 @@ from robot.obstacles import on_the_arm, reconstructed
 from robot.world import World
 from robot.worldfile import varied
 from scene.dataset import load_views
-from scene.depth import confidence
 from scene.field import Field
-from scene.space import FREE, Space
 from scene.surface import Mesh
+from scene.surface.depth import confidence
+from scene.surface.space import FREE, Space
 
 NEAR = 0.01  # m, of the F-score
 MARGIN = 0.01  # m, of the planner

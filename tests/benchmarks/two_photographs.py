@@ -14,9 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
-from scene.apriltag import TagLayout
 from scene.camera import Camera
 from scene.dataset import load_views
+from scene.frame.apriltag import TagLayout
 from scene.resection import resect
 from teach import rptl, scripted
 from teach.hand import Hand

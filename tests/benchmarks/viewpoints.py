@@ -1,4 +1,4 @@
-"""Whether the views that scene/viewpoints.py proposes teach motions better, and whether it knows by how much.
+"""Whether the views that scene/viewpoints/ proposes teach motions better, and whether it knows by how much.
 
     python tests/benchmarks/viewpoints.py data/table                 # the table world's photographs and field
     python tests/benchmarks/viewpoints.py data/table --rows rows.csv # what is done is kept there: a killed run goes on
@@ -21,10 +21,11 @@ import numpy as np
 import yaml
 from scipy.stats import spearmanr
 
-from scene import coverage, viewpoints
+from scene import viewpoints
 from scene.dataset import load_views
 from scene.field import Field
-from scene.motions import even, motions_in
+from scene.viewpoints import coverage
+from scene.viewpoints.motions import even, motions_in
 from teach import hand, rptl, scripted
 from teach.curve import resample
 from teach.density import Kernels

@@ -1,7 +1,7 @@
 """A trained field -> a mesh, convex pieces of it for a simulator, and what of space is free, occupied, unseen.
 
-    depth with confidence from the photographs' cameras (scene.depth) ─ TSDF fusion ─ cleaned mesh ─ convex pieces
-                                                                      └ rays carve space (scene.space)
+    depth with confidence from the photographs' cameras (scene.surface.depth) ─ TSDF fusion ─ cleaned mesh ─ convex pieces
+                                                                      └ rays carve space (scene.surface.space)
 
 Fusion averages the signed distance to all depths within a truncation (Curless, Levoy 1996). Only depth of which the
 field is sure goes in, a surface must be seen by two cameras, and none is made where no camera has looked: holes stay
@@ -16,11 +16,11 @@ from pathlib import Path
 
 import numpy as np
 
-from scene import depth as depths
 from scene.camera import Camera
 from scene.files import replacing
-from scene.pieces import convex_pieces
-from scene.space import FREE, Space, carve
+from scene.surface import depth as depths
+from scene.surface.pieces import convex_pieces
+from scene.surface.space import FREE, Space, carve
 
 TRUNCATION = 4.0  # voxels
 SIMPLE = 10_000

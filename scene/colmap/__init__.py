@@ -13,80 +13,21 @@ Cameras are pinholes; pixel (0, 0) is the top-left corner of the top-left pixel,
 """
 
 import json
-import os
 import shutil
-import signal
 import subprocess
-import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from PIL import ExifTags, Image
 
-from scene import worker
-from scene.camera import Camera, View
-from scene.dataset import FEWEST_PHOTOGRAPHS, MASKS, is_rotated, load_image, read_mask, read_points, save_mask
+from scene.colmap import worker
+from scene.dataset import FEWEST_PHOTOGRAPHS, is_rotated, load_image, read_mask, read_points, save_mask
+from scene.model import Model, ReconstructionFailed
 from scene.transforms import Posed
 
 LEAST_BYTES = {"cameras.bin": 48, "images.bin": 73, "points3D.bin": 51}
 """Of one record of COLMAP's binary files."""
-
-
-class ReconstructionFailed(ValueError):
-    """The photographs could not be joined to one model."""
-
-
-@dataclass(frozen=True, eq=False)
-class Model:
-    """What structure from motion found, in its own frame.
-
-    names: of the registered photographs, sorted, without extension. cameras: pinholes, one each. images: files of the
-    undistorted pictures. points: (N, 3); colours: (N, 3) uint8; point_errors: (N,) mean reprojection error [px].
-    total: photographs given. reprojection_px: mean over all observations, in pixels of the photographs as they were.
-    unregistered: names of those left out. sparse: folder of the COLMAP model.
-    """
-
-    names: tuple[str, ...]
-    cameras: tuple[Camera, ...]
-    images: tuple[Path, ...]
-    points: np.ndarray
-    colours: np.ndarray
-    point_errors: np.ndarray
-    total: int
-    reprojection_px: float
-    unregistered: tuple[str, ...]
-    sparse: Path
-
-    @property
-    def registered(self) -> int:
-        """Number of photographs in the model."""
-        return len(self.names)
-
-    def views(self) -> list[View]:
-        """The undistorted pictures with their cameras, in the model's frame."""
-        files = [self.sparse.parents[2] / MASKS / f"{name}.png" for name in self.names]
-        masks = [read_mask(file) if file.is_file() else None for file in files]
-        return [View(*parts) for parts in zip(self.names, self.cameras, map(load_image, self.images), masks, strict=True)]
-
-    @classmethod
-    def load(cls, work: str | Path) -> "Model":
-        """The model that ``reconstruct`` left in its work folder."""
-        work = Path(work)
-        with np.load(work / "colmap" / "model.npz", allow_pickle=False) as file:
-            parts = dict(file)
-        cameras = zip(parts["K"], parts["world_from_camera"], *parts["sizes"].T, strict=True)
-        return cls(
-            names=tuple(parts["names"].tolist()),
-            cameras=tuple(Camera(*camera) for camera in cameras),
-            images=tuple(work / "images" / name for name in parts["images"].tolist()),
-            **{key: parts[key] for key in ("points", "colours", "point_errors")},
-            total=int(parts["total"]),
-            reprojection_px=float(parts["reprojection_px"]),
-            unregistered=tuple(parts["unregistered"].tolist()),
-            sparse=work / "colmap" / "sparse" / "0",
-        )
 
 
 def reconstruct(
@@ -110,7 +51,7 @@ def reconstruct(
     camera_model: COLMAP's name of the lens model. single_camera: all photographs were taken with one lens and zoom.
     features: at most so many in a photograph. feature_size: longest side [px] at which they are sought.
     max_size: longest side [px] of the undistorted pictures. exhaustive: up to so many photographs every pair is
-    matched; of more, each with its neighbours by name and ``alike`` that look alike (scene.retrieval). threads: with 1
+    matched; of more, each with its neighbours by name and ``alike`` that look alike (scene.colmap.retrieval). threads: with 1
     the same seed gives the same model, bit by bit; more are faster. masks: {photograph's name: file}, see scene.masks.
     Raises ReconstructionFailed when fewer than three or fewer than half of the photographs join.
     """
@@ -212,10 +153,8 @@ def straighten(model: Model, pixels: Mapping[str, np.ndarray]) -> dict[str, np.n
     if unknown:
         left_out = " (left out by COLMAP)" if unknown[0] in model.unregistered else ""
         raise ValueError(f"no photograph {unknown[0]}{left_out} in the model; there are {', '.join(model.names[:6])}, ...")
-    code = "import json, sys; sys.path[:] = json.loads(sys.argv[1]); from scene.colmap import _rays; _rays()"
-    command = [sys.executable, "-P", "-c", code, json.dumps([str(Path(__file__).parents[1]), *sys.path])]
     settings = json.dumps({"sparse": str(model.sparse), "pixels": given})
-    answer = subprocess.run(command, input=settings, capture_output=True, text=True)
+    answer = subprocess.run(worker.command("answer_rays"), input=settings, capture_output=True, text=True)
     if answer.returncode:
         last = answer.stderr.strip().splitlines()[-1:] or ["no message"]
         raise ReconstructionFailed(f"{model.sparse} cannot be read: {last[0][-300:]}")
@@ -225,50 +164,3 @@ def straighten(model: Model, pixels: Mapping[str, np.ndarray]) -> dict[str, np.n
         raise ValueError(f"photograph {outside[0]} has no pixel {given[outside[0]]}: {answer['outside'][outside[0]]}")
     lenses = {name: camera.K for name, camera in zip(model.names, model.cameras, strict=True)}
     return {name: np.array(rays) @ lenses[name][:2, :2].T + lenses[name][:2, 2] for name, rays in answer["rays"].items()}
-
-
-# What follows runs in the worker process only.
-
-
-def _rays():
-    """Read photographs' pixels, answer with x / z, y / z of the rays that the estimated lens sends through them."""
-    settings = json.loads(sys.stdin.readline())
-    model = _pycolmap().Reconstruction(settings["sparse"])
-    lenses = {Path(image.name).stem: model.cameras[image.camera_id] for image in model.images.values()}
-    rays, outside = {}, {}
-    for name, pixels in settings["pixels"].items():
-        pixels, size = np.array(pixels), (lenses[name].width, lenses[name].height)
-        rays[name] = np.asarray(lenses[name].cam_from_img(pixels)).tolist()
-        outside[name] = f"it is {size[0]}x{size[1]}" if (pixels < 0).any() or (pixels > size).any() else ""
-    print(json.dumps({"rays": rays, "outside": outside}))
-
-
-def _work():
-    """Read the settings, answer with lines of JSON; end at once when whoever asked is gone."""
-    from scene import adoption, mapping
-
-    settings = json.loads(sys.stdin.readline())
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the parent too, which ends this process
-    worker.die_with_parent()
-    answers = os.fdopen(os.dup(1), "w", buffering=1)
-    os.dup2(2, 1)  # whatever a library prints goes to the log
-
-    def say(**message):
-        answers.write(json.dumps(message) + "\n")
-
-    try:
-        task = {"solve": mapping.solve, "adopt": adoption.adopt}[settings.pop("task")]
-        task(_pycolmap(), say=say, **settings)
-        say(done=True)
-    except ReconstructionFailed as failure:
-        say(failure=str(failure))
-
-
-def _pycolmap():
-    """pycolmap, after those whose zlib it would otherwise take the place of."""
-    import zlib  # noqa: F401
-
-    import cv2  # noqa: F401
-    import pycolmap
-
-    return pycolmap

@@ -1,6 +1,6 @@
 """Cameras from AprilTags alone: two photographs are enough, and no COLMAP (the paper's set-up with a real robot).
 
-What is found is known as far as the photographs show tags (scene.pnp); the focal length comes from a camera file, or
+What is found is known as far as the photographs show tags (scene.resection.pnp); the focal length comes from a camera file, or
 else from the tags and the photographs' EXIF. """
 
 from collections.abc import Sequence
@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 from PIL import ExifTags, Image
 
-from scene.apriltag import TagLayout, detect
-from scene.colmap import ReconstructionFailed
 from scene.dataset import is_rotated, load_image, save_image, save_points
 from scene.files import parse_json
-from scene.pnp import solve
+from scene.frame.apriltag import TagLayout, detect
+from scene.model import ReconstructionFailed
+from scene.resection.pnp import solve
 from scene.transforms import Posed, lens_of
 
 FULL_FRAME_DIAGONAL = 43.27  # mm, which EXIF's equivalent focal lengths refer to

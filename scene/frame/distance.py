@@ -18,12 +18,13 @@ from pathlib import Path
 
 import numpy as np
 
-from scene import gravity
 from scene.camera import Camera
-from scene.colmap import Model, ReconstructionFailed, straighten
+from scene.colmap import straighten
 from scene.files import parse_json
-from scene.frame import Similarity, judged, level
-from scene.triangulation import triangulate
+from scene.frame import gravity
+from scene.frame.similarity import Similarity, judged
+from scene.frame.triangulation import triangulate
+from scene.model import Model, ReconstructionFailed
 
 CLICK = 0.005
 """A pixel further than this part of the picture's width from where the other pictures put its point is left out."""
@@ -186,11 +187,11 @@ def _unsure_place(found: Mapping[str, _Point], rotation: np.ndarray, reach: floa
 def _level(found: Mapping[str, _Point], up: np.ndarray, cameras, points) -> tuple[np.ndarray, np.ndarray]:
     """(level_from_model (3, 3), the model's point (3,) that becomes the origin)."""
     if "origin" not in found:
-        return level(up, cameras[0]), gravity.middle(cameras, points)
+        return gravity.level(up, cameras[0]), gravity.middle(cameras, points)
     origin = found["origin"].x
     if "forward" not in found:
-        return level(up, cameras[0]), origin
+        return gravity.level(up, cameras[0]), origin
     ahead = found["forward"].x - origin
     if np.linalg.norm(np.cross(ahead, up)) < 0.05 * np.linalg.norm(ahead) or not np.any(ahead):
         raise ReconstructionFailed("distance.json: forward lies straight above or below the origin: no direction")
-    return level(up, cameras[0], ahead), origin
+    return gravity.level(up, cameras[0], ahead), origin

@@ -1,9 +1,9 @@
 """The field's inner loops for a CPU: marching rays through the grid, forward and backward.
 
-Notation as in `scene.volume` and `scene.grid`. Every kernel works on a range [first, last) of rays or
+Notation as in `scene.field.volume` and `scene.field.grid`. Every kernel works on a range [first, last) of rays or
 voxels without the interpreter's lock, so `in_parallel` spreads it over threads; two threads add their
 gradients to the same voxels without locks, which loses a few additions and is not bit-reproducible:
-one thread is. `scene.volume` and `scene.grid` hold the same maths in torch, and the tests compare them.
+one thread is. `scene.field.volume` and `scene.field.grid` hold the same maths in torch, and the tests compare them.
 
 A voxel's 8 floats are read and written as one SIMD vector, which numba's own vectoriser does not find;
 the two intrinsics at the top say it in LLVM's words and work on every processor.

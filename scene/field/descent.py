@@ -1,12 +1,11 @@
-"""One step of gradient descent on a field, with the kernels of `scene.kernels`."""
+"""One step of gradient descent on a field, with the kernels of `scene.field.kernels`."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from scene import kernels
-from scene.field import Field, Rays
-from scene.grid import BRICK, lengthened
+from scene.field import Field, Rays, kernels
+from scene.field.grid import BRICK, lengthened
 
 BETA1, BETA2 = 0.9, 0.99
 EPSILON = 1e-5

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from scene.camera import Camera, invert
+from scene.colmap.lens import pinhole, through_lens, widest_pinhole
 from scene.dataset import MASKS, load_image, read_mask, save_image, save_mask
 from scene.files import replacing
-from scene.lens import pinhole, through_lens, widest_pinhole
 
 
 def write_results(model, folder, names, max_size, straight, say, masks, photographs=None):

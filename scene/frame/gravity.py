@@ -8,6 +8,32 @@ from collections.abc import Sequence
 import numpy as np
 
 from scene.camera import Camera
+from scene.frame.similarity import Similarity
+from scene.model import Model
+
+
+def align(model: Model) -> Similarity:
+    """A frame for a scene without a measure: z up, origin at the middle of the scene, the median camera at distance 1.
+
+    x points right in the first photograph. The scale is arbitrary.
+    """
+    cameras, points = model.cameras, np.asarray(model.points, dtype=float).reshape(-1, 3)
+    rotation, origin = level(up(cameras, points), cameras[0]), middle(cameras, points)
+    scale = 1 / np.median([np.linalg.norm(camera.centre - origin) for camera in cameras])
+    return Similarity(
+        float(scale), rotation, -scale * rotation @ origin, frame="arbitrary",
+        rests_on="the way the cameras were held: z is up, scale and place are arbitrary",
+    )  # fmt: skip
+
+
+def level(up: np.ndarray, camera: Camera, forward: np.ndarray | None = None) -> np.ndarray:
+    """level_from_model (3, 3): z along ``up``, x along ``forward`` (3,) or to the right in ``camera``."""
+    x = camera.world_from_camera[:3, 0] if forward is None else forward
+    x = x - up * (up @ x)
+    if np.linalg.norm(x) < 1e-6:
+        x = np.cross(camera.forward, up)
+    x = x / np.linalg.norm(x)
+    return np.array([x, np.cross(up, x), up])
 
 
 def up(cameras: Sequence[Camera], points: np.ndarray) -> np.ndarray:

@@ -15,17 +15,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from scene.apriltag import LEAST_NOISE_PX, TagLayout
 from scene.camera import invert
-from scene.colmap import ReconstructionFailed
-from scene.frame import USELESS_MM
+from scene.frame.apriltag import LEAST_NOISE_PX, TagLayout
+from scene.frame.similarity import USELESS_MM
+from scene.model import ReconstructionFailed
 
 EXIF_SPREAD = 0.1
 """What an EXIF's focal length is worth: the standard deviation of its logarithm."""
 LOOSE = 0.1
 """A focal length that the tags leave more open than this share is refused; a quarter of it is said."""
 SAID_MM = 10.0
-"""A camera that may be off by more than this is said to be; by more than scene.frame.USELESS_MM, it is left out."""
+"""A camera that may be off by more than this is said to be; by more than scene.frame.similarity.USELESS_MM, it is left out."""
 BAD_PX = 1.0
 """Corners that fit worse than this speak of a wrong layout or lens."""
 TWOFOLD = 1.5

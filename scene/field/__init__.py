@@ -1,6 +1,6 @@
 """The field: density and colour everywhere in a scene, and the pictures it gives.
 
-A ray's channels are composited along the ray first (`scene.volume`) and shaded once: the diffuse colour is
+A ray's channels are composited along the ray first (`scene.field.volume`) and shaded once: the diffuse colour is
 a sum of voxels, and a small network adds what depends on the direction of view, from the composited
 features (deferred shading, as in SNeRG and MERF). Light that passes everything meets ``background``.
 """
@@ -11,11 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scene import kernels
 from scene.camera import Camera
+from scene.field import kernels
+from scene.field.grid import BRICK, CHANNELS, Grid
+from scene.field.occupancy import Occupancy, cells
 from scene.files import replacing
-from scene.grid import BRICK, CHANNELS, Grid
-from scene.occupancy import Occupancy, cells
 
 VERSION = 3
 QUANTA = np.float32([1 / 16] + [1 / 128] * 3 + [1 / 256] * 4)  # to which a file rounds raw density, colour, features

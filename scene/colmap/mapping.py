@@ -10,10 +10,10 @@ from types import ModuleType
 import numpy as np
 from PIL import Image
 
-from scene.colmap import ReconstructionFailed
+from scene.colmap.lens import STRAIGHT, bend, drop_distortion
+from scene.colmap.undistortion import write_results
 from scene.dataset import FEWEST_PHOTOGRAPHS
-from scene.lens import STRAIGHT, bend, drop_distortion
-from scene.undistortion import write_results
+from scene.model import ReconstructionFailed
 
 UPSAMPLED = 500
 """Photographs smaller than this [px] are searched for features at twice their size."""
@@ -135,7 +135,7 @@ class _Run:
 
     def _unlike(self, content, numbers, alike: int) -> list[tuple[int, int]]:
         """Numbers of all pairs but neighbours and those that look alike."""
-        from scene.retrieval import pairs_to_match
+        from scene.colmap.retrieval import pairs_to_match
 
         seen = [np.asarray(content.read_descriptors(numbers[name]).data) for name in self.names]
         kept = set(pairs_to_match(seen, alike=alike, seed=self.seed))

@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 
 from scene.camera import invert
-from scene.colmap import ReconstructionFailed
+from scene.colmap.lens import STRAIGHT, bend
+from scene.colmap.undistortion import flat, write_results
 from scene.dataset import inside, is_rotated, load_image
-from scene.lens import STRAIGHT, bend
-from scene.undistortion import flat, write_results
+from scene.model import ReconstructionFailed
 
 
 def adopt(pycolmap, folder, names, images, max_size, fewest, say, sparse=None, masks=None, **given):

@@ -20,8 +20,8 @@ from pathlib import Path
 import numpy as np
 
 from scene.camera import OPENCV_FROM_OPENGL, invert
-from scene.colmap import Model, ReconstructionFailed
-from scene.frame import Similarity, jacobian, nearest_rotation, umeyama, with_uncertainty
+from scene.frame.similarity import Similarity, jacobian, nearest_rotation, umeyama, with_uncertainty
+from scene.model import Model, ReconstructionFailed
 
 FEWEST = 3
 STRAY_M = 2e-3

@@ -11,7 +11,7 @@ Notation
     w_i = T_i alpha_i                   its weight;   sum_i w_i + T_end = 1
 
 Samples are spaced evenly in contracted space, so that a sample always stands for as much as the grid
-resolves there. Everything here is torch, differentiable and free of state; `scene.kernels` does the
+resolves there. Everything here is torch, differentiable and free of state; `scene.field.kernels` does the
 same by hand for a CPU and is tested against this file.
 """
 

@@ -20,10 +20,10 @@ from pathlib import Path
 
 import numpy as np
 
-from scene.colmap import Model, ReconstructionFailed
 from scene.files import parse_json
-from scene.frame import Similarity, nearest_rotation, with_uncertainty
-from scene.poses import agreeing, angles, check_rigid, left_out, matched, refuse_strangers
+from scene.frame.poses import agreeing, angles, check_rigid, left_out, matched, refuse_strangers
+from scene.frame.similarity import Similarity, nearest_rotation, with_uncertainty
+from scene.model import Model, ReconstructionFailed
 
 FEWEST, COMFORTABLE = 4, 10
 LEVER = 0.5

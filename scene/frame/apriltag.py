@@ -20,10 +20,10 @@ from pathlib import Path
 import numpy as np
 
 from scene.camera import Camera
-from scene.colmap import Model, ReconstructionFailed
 from scene.files import parse_json, replacing
-from scene.frame import Similarity, umeyama, with_uncertainty
-from scene.triangulation import triangulate
+from scene.frame.similarity import Similarity, umeyama, with_uncertainty
+from scene.frame.triangulation import triangulate
+from scene.model import Model, ReconstructionFailed
 
 FAMILY, FAMILY_SIZE = "36h11", 587
 OFFICIAL_FROM_OPENCV = [1, 0, 3, 2]

@@ -1,13 +1,13 @@
 """Which part of space a field is made of: the box of interest, what the photographs see, what is occupied.
 
-An occupancy grid is (n, n, n) bool over contracted space, the cube [-2, 2]^3 (`scene.volume.contract`).
+An occupancy grid is (n, n, n) bool over contracted space, the cube [-2, 2]^3 (`scene.field.volume.contract`).
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from scene import kernels
+from scene.field import kernels
 
 MARGIN = 1.2  # width of the box of interest over that of the pictures there
 FARTHEST = 32  # distances to occupied blocks of cells are counted up to this many
@@ -57,7 +57,7 @@ def nearest(views, points=None) -> float:
 
 
 def contract(x: np.ndarray) -> np.ndarray:
-    """`scene.volume.contract` in numpy: (..., 3) -> (..., 3)."""
+    """`scene.field.volume.contract` in numpy: (..., 3) -> (..., 3)."""
     r = np.maximum(np.abs(x).max(-1, keepdims=True), 1.0)
     return x * (2 * r - 1) / r**2
 

@@ -23,9 +23,10 @@ from itertools import combinations
 
 import numpy as np
 
-from scene import coverage, paths
+from scene import paths
 from scene.camera import Camera
-from scene.motions import MODES, POINTS, left_open, motions_in, smooth_modes
+from scene.viewpoints import coverage
+from scene.viewpoints.motions import MODES, POINTS, left_open, motions_in, smooth_modes
 
 
 @dataclass(frozen=True)

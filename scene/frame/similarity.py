@@ -1,35 +1,17 @@
-"""The robot's frame of a reconstruction: a model of photographs alone has no scale, no up and no origin.
-
-What gives it one lies in a file beside the photographs; the first that is there is used:
-
-    tags.json          AprilTags at known places                                        scene.apriltag
-    poses.json, poses  camera poses that are known already                              scene.poses
-    arm_poses.json     where the arm's flange was at each photograph                    scene.handeye
-    distance.json      two points and the distance between them; up is gravity's        scene.distance
-    (none)             up is gravity's; scale and place are arbitrary                   gravity_frame
+"""From one frame to another that differs in scale, direction and place, and how sure that change is.
 
 Notation
-    x_base = s R x_model + t     the Similarity (s, R, t) from the model's frame to the robot's base
+    x_to = s R x_from + t     the Similarity (s, R, t)
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
-from pathlib import Path
 
 import numpy as np
 
-from scene import gravity
 from scene.camera import Camera
-from scene.colmap import Model, ReconstructionFailed
+from scene.model import ReconstructionFailed
 
-FILES = {
-    "tags": ("tags.json",),
-    "poses": ("poses.json", "poses"),
-    "arm": ("arm_poses.json",),
-    "distance": ("distance.json",),
-}
-METHODS = ("auto", *FILES, "gravity")
 UNSURE_MM, USELESS_MM = 5.0, 50.0
 """A frame that may be off by more than this where the cameras stand is said to be unsure, or refused."""
 
@@ -91,98 +73,6 @@ class Similarity:
             | {"used": list(self.used), "residuals_mm": {str(n): mm for n, mm in self.residuals_mm.items()}}
             | {"warnings": list(self.warnings), **self.extra}
         )
-
-
-def find(model: Model, folder: str | Path, *, method: str = "auto", file: str | Path | None = None) -> Similarity:
-    """The frame of a model from the files in ``folder``, beside the photographs; ``file`` goes before these.
-
-    Raises ReconstructionFailed where the frame cannot be known, ValueError or FileNotFoundError for a broken file.
-    """
-    return read(folder, method=method, file=file)(model)
-
-
-def read(folder: str | Path, *, method: str = "auto", file: str | Path | None = None) -> Callable[[Model], Similarity]:
-    """What gives the frame, read and checked before there is a model: a function from the model to its frame."""
-    wished = method
-    method, file, others = choose(folder, method, file)
-    fit = _read(method, file)
-    notes = []
-    if others:
-        notes = [f"not used: {', '.join(p.name for p in others)}; scene/frame= chooses what the frame rests on"]
-    if wished == "auto" and method == "gravity":
-        files = ", ".join(name for names in FILES.values() for name in names[:1])
-        notes = [f"none of {files} lies with the photographs: nothing gives scale and place"]
-
-    def frame_of(model: Model) -> Similarity:
-        found = fit(model)
-        return replace(found, warnings=(*found.warnings, *notes))
-
-    return frame_of
-
-
-def _read(method: str, file: Path | None) -> Callable[[Model], Similarity]:
-    if method == "tags":
-        from scene.apriltag import TagLayout, align
-
-        return partial(align, layout=TagLayout.load(file))
-    if method == "poses":
-        from scene.poses import align, load
-
-        return partial(align, base_from_camera=load(file))
-    if method == "arm":
-        from scene.handeye import align, load
-
-        return partial(align, base_from_flange=load(file))
-    if method == "distance":
-        from scene.distance import Ruler, align
-
-        return partial(align, ruler=Ruler.load(file))
-    return lambda model: gravity_frame(model.cameras, model.points)
-
-
-def choose(
-    folder: str | Path, method: str = "auto", file: str | Path | None = None
-) -> tuple[str, Path | None, list[Path]]:
-    """(method, its file, files of other methods that are there too and stay unused)."""
-    if method not in METHODS:
-        raise ValueError(f"unknown scene.frame.method {method}; there are {', '.join(METHODS)}")
-    if file is not None and method not in FILES:
-        raise ValueError(f"scene.frame.file={file} needs scene/frame= to say what it is: {', '.join(FILES)}")
-    there = {kind: [p for p in (Path(folder) / name for name in names) if p.exists()] for kind, names in FILES.items()}
-    if method == "auto":
-        method, *rest = [kind for kind in FILES if there[kind]] or ["gravity"]
-        return method, there[method][0] if method in FILES else None, [there[kind][0] for kind in rest]
-    if method == "gravity":
-        return method, None, []
-    if file is None and not there[method]:
-        wanted = " or ".join(FILES[method])
-        raise FileNotFoundError(f"scene/frame={method} needs {wanted} in {folder}, or scene.frame.file")
-    return method, Path(file) if file is not None else there[method][0], []
-
-
-def gravity_frame(cameras: Sequence[Camera], points: np.ndarray) -> Similarity:
-    """A frame for a scene without a measure: z up, origin at the middle of the scene, the median camera at distance 1.
-
-    Up is gravity's (scene.gravity.up); x points right in the first photograph. The scale is arbitrary.
-    """
-    points = np.asarray(points, dtype=float).reshape(-1, 3)
-    rotation = level(gravity.up(cameras, points), cameras[0])
-    middle = gravity.middle(cameras, points)
-    scale = 1 / np.median([np.linalg.norm(camera.centre - middle) for camera in cameras])
-    return Similarity(
-        float(scale), rotation, -scale * rotation @ middle, frame="arbitrary",
-        rests_on="the way the cameras were held: z is up, scale and place are arbitrary",
-    )  # fmt: skip
-
-
-def level(up: np.ndarray, camera: Camera, forward: np.ndarray | None = None) -> np.ndarray:
-    """level_from_model (3, 3): z along ``up``, x along ``forward`` (3,) or to the right in ``camera``."""
-    x = camera.world_from_camera[:3, 0] if forward is None else forward
-    x = x - up * (up @ x)
-    if np.linalg.norm(x) < 1e-6:
-        x = np.cross(camera.forward, up)
-    x = x / np.linalg.norm(x)
-    return np.array([x, np.cross(up, x), up])
 
 
 def umeyama(points: np.ndarray, places: np.ndarray) -> Similarity:

@@ -1,7 +1,7 @@
 """A sparse pyramid of voxel grids over contracted space.
 
 Notation
-    c                   a place in contracted space, the cube [-2, 2]^3 (`scene.volume.contract`)
+    c                   a place in contracted space, the cube [-2, 2]^3 (`scene.field.volume.contract`)
     level l             N_l cells along each axis, hence N_l + 1 voxels (the cells' corners)
     brick               4^3 neighbouring voxels, stored together: 64 rows of ``values``
     root                4^3 neighbouring bricks; ``roots`` holds, for each level and row-major, its place in ``table``
@@ -18,8 +18,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from scene import kernels
-from scene.occupancy import blocks
+from scene.field import kernels
+from scene.field.occupancy import blocks
 
 BRICK = 4
 CHANNELS = kernels.CHANNELS
