@@ -8,6 +8,9 @@ that rays pass through shrinks to what is seen. The points of the reconstruction
 Pictures taken before a plain backdrop (`scene.photographs.backdrop`) keep its colour behind everything. Other scenes go on
 to where no picture reaches, and every ray of them ends somewhere: at first another random colour stands behind
 each ray, so that only something opaque can explain it, and space that the cameras look through to points is empty.
+
+Pictures of one scene may be exposed and balanced differently: picture = gain * colour, channel by channel, which is exact
+where a camera's curve is a power of the light. Gains are estimated now and then from what the field has become.
 """
 
 import hashlib
@@ -23,7 +26,7 @@ from scene.field import Field, Shading, kernels, occupancy
 from scene.field.descent import KernelDescent, Rates
 from scene.field.grid import Grid
 from scene.files import replacing
-from scene.photographs import Photographs, backdrop
+from scene.photographs import Photographs, backdrop, gains, ratios
 
 SCALE = 50.0
 STEPS = 2400
@@ -42,6 +45,8 @@ SAVE_EVERY = 30.0
 """Seconds between checkpoints."""
 SWEEP = 8
 """Before pruning, every so many-th pixel of all pictures is looked through, an axis."""
+EXPOSED = 0.2
+"""From this fraction of training on, sweeps also tell how each picture was exposed: before, the field says too little."""
 
 
 @dataclass(frozen=True)
@@ -99,6 +104,7 @@ class Training:
     occupied: np.ndarray  # (n, n, n) bool
     seen: np.ndarray  # cells that were seen since the last pruning, as bits (`occupancy.cells`)
     surface: np.ndarray  # cells that held a surface since then
+    gains: np.ndarray  # (pictures, 3): how much brighter each is than the field, by channel
     stage: int = -1
     step: int = 0
     pruned: int = 0  # the step of the last pruning
@@ -121,6 +127,7 @@ def fit(
     stages: tuple[Stage, ...] | None = None,
     rates: tuple[float, float, float, float] | None = None,
     decay: float = 0.5,
+    exposure: bool = True,
     thin: float = 0.1,
     prior: float = 5.0,
     hidden: int = 32,
@@ -135,7 +142,7 @@ def fit(
     deterministic: one thread, bit-equal results. device: "cpu" or "auto", which is the same.
 
     stages: default `schedule`. rates: of density, colour, features, network (default `learning_rates`), falling
-    to ``decay`` of it. thin: density of the fog that training begins with, and prior: raw density it begins with at points. hidden:
+    to ``decay`` of it. exposure: pictures may be exposed differently; the field gets their geometric mean. thin: density of the fog that training begins with, and prior: raw density it begins with at points. hidden:
     width of the network.
     """
     _check(views)
@@ -155,11 +162,12 @@ def fit(
         done = max(run.step / limit, run.seconds / seconds if seconds else 0.0)
         if done >= 1:
             break
-        if _advance(run, stages, done, points, prior, views, nearest) or pictures is None:
+        if _advance(run, stages, done, points, prior, views, nearest, exposure and done >= EXPOSED) or pictures is None:
             stage = stages[run.stage]
             pictures = Photographs.of(views, run.field.centre, run.field.half, nearest, stage.shrink)
         rng = np.random.default_rng((seed, run.step))
-        rays, target = pictures.draw(rng, BATCH)
+        rays, target, which = pictures.draw(rng, BATCH)
+        target /= run.gains[which]
         jitter = rng.random(len(target), np.float32)
         now = Rates(*(rate * decay**done for rate in rates))
         anything = not len(behind_all) and done < OPAQUE
@@ -201,17 +209,17 @@ def _start(views, points, bounds, shading: Shading, deterministic, device, thin)
         step=1.0, scale=SCALE, shift=float(np.log(np.expm1(thin / SCALE))), near=NEAR,
     )  # fmt: skip
     descent = KernelDescent(field, 1 if deterministic else kernels.THREADS)
-    return Training(field, descent, occupied, np.zeros(1, np.uint64), np.zeros(1, np.uint64))
+    return Training(field, descent, occupied, *np.zeros((2, 1), np.uint64), np.ones((len(views), 3), np.float32))
 
 
-def _advance(run: Training, stages, done: float, points, prior, views, nearest) -> bool:
+def _advance(run: Training, stages, done: float, points, prior, views, nearest, exposure: bool) -> bool:
     """Prune, and go to the next stage, when it is time. True if a stage begins."""
     due = run.step - run.pruned >= stages[run.stage].prune or run.stage < 0
     begins = due and run.stage + 1 < len(stages) and done >= stages[run.stage + 1].begin
     if not (due or begins):
         return False
     if run.stage >= 0:
-        _sweep(run, views, stages[run.stage].visible, nearest)
+        _sweep(run, views, stages[run.stage].visible, nearest, exposure)
         run.occupied = occupancy.cells(run.seen)
         if points is not None:
             run.occupied |= occupancy.around(_places(run, points), len(run.occupied))
@@ -230,15 +238,20 @@ def _advance(run: Training, stages, done: float, points, prior, views, nearest) 
     return begins
 
 
-def _sweep(run: Training, views, visible: float, nearest: float) -> None:
-    """Note what all pictures see, so that no cell is pruned for want of a ray."""
+def _sweep(run: Training, views, visible: float, nearest: float, exposure: bool) -> None:
+    """Note what all pictures see, so that no cell is pruned for want of a ray, and how they are exposed."""
     rng = np.random.default_rng(run.step)
+    logs = []
     for view in views:
         x, y = rng.random(2) * SWEEP
         pixels = np.stack(np.meshgrid(np.arange(x, view.camera.width, SWEEP), np.arange(y, view.camera.height, SWEEP)), -1)
         rays = run.field.rays(*view.camera.rays(pixels.reshape(-1, 2)))
         rays.near[:] = nearest
-        run.field.march(rays, keep=100, seen=run.seen, surface=run.surface, visible=visible, threads=run.descent.threads)
+        marched = run.field.march(rays, keep=100, seen=run.seen, surface=run.surface, visible=visible, threads=run.descent.threads)
+        if exposure:
+            colour = run.field.shade(marched, rays, run.field.behind(len(rays.near)), run.descent.threads)
+            logs.append(ratios(view, pixels.reshape(-1, 2), colour))
+    run.gains = gains(np.array(logs)) if exposure else run.gains
 
 
 def _places(run: Training, points) -> np.ndarray:
@@ -273,7 +286,7 @@ def _save(run: Training, path, views, seed, stages) -> None:
         np.savez(
             file, fingerprint=_fingerprint(views, seed, stages), centre=field.centre, sizes=field.grid.sizes,
             numbers=[field.half, field.step, field.scale, field.shift, field.near],
-            roots=field.grid.roots, table=field.grid.table, values=field.grid.values, occupied=run.occupied, seen=run.seen, surface=run.surface, background=field.shading.background,
+            roots=field.grid.roots, table=field.grid.table, values=field.grid.values, occupied=run.occupied, seen=run.seen, surface=run.surface, gains=run.gains, background=field.shading.background,
             inner=field.shading.inner, outer=field.shading.outer, threads=run.descent.threads,
             progress=[run.stage, run.step, run.pruned], seconds=run.seconds, **run.descent.state(),
         )  # fmt: skip
@@ -301,4 +314,4 @@ def _resume(path, views, seed, stages) -> Training | None:
     descent = KernelDescent(field, int(state["threads"]))
     descent.restore(state)
     stage, step, pruned = map(int, state["progress"])
-    return Training(field, descent, state["occupied"], state["seen"], state["surface"], stage, step, pruned, float(state["seconds"]))
+    return Training(field, descent, state["occupied"], state["seen"], state["surface"], state["gains"], stage, step, pruned, float(state["seconds"]))

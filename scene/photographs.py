@@ -34,8 +34,8 @@ class Photographs:
             shown.append(None if mask is None else np.flatnonzero(whole))
         return cls(pixels, directions, origins, near, shown)
 
-    def draw(self, rng: np.random.Generator, count: int) -> tuple[Rays, np.ndarray]:
-        """Rays through ``count`` random pixels, and their colours (count, 3) in [0, 1].
+    def draw(self, rng: np.random.Generator, count: int) -> tuple[Rays, np.ndarray, np.ndarray]:
+        """Rays through ``count`` random pixels, their colours (count, 3) in [0, 1], and the numbers of their pictures (count,).
 
         No two of them are neighbours on purpose: pixels side by side teach the same voxels the same thing.
         """
@@ -44,7 +44,7 @@ class Photographs:
         places = rng.random((count, 2))
         drawn = [self._rays(k, places[which == k]) for k in np.unique(which)]
         origins, directions, colours = (np.concatenate(part) for part in zip(*drawn))
-        return Rays(origins, directions, np.full(len(origins), self.near, np.float32)), colours
+        return Rays(origins, directions, np.full(len(origins), self.near, np.float32)), colours, which
 
     def _rays(self, k: int, places: np.ndarray):
         height, width = self.pixels[k].shape[:2]
@@ -57,6 +57,31 @@ class Photographs:
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
         origins = np.repeat(self.origins[k][None], len(x), 0)
         return origins, directions, self.pixels[k][y, x].astype(np.float32) / 255
+
+
+def ratios(view, pixels: np.ndarray, colour: np.ndarray, dark: float = 0.05) -> np.ndarray:
+    """(2, 3) log of how much brighter the picture is at pixels (n, 2) than ``colour`` (n, 3) in [0, 1], by channel: the
+    median in its left half and in its right half.
+
+    Pixels that a mask hides and dark ones say nothing.
+    """
+    x, y = pixels.astype(np.int64).T
+    shown = view.image[y, x].astype(np.float32) / 255
+    telling = (shown > dark) & (colour > dark) & (True if view.mask is None else view.mask[y, x][:, None])
+    halves = [telling & (left == (x < view.camera.width / 2))[:, None] for left in (True, False)]
+    return np.array([[np.log(np.median(s[t] / c[t])) if t.any() else 0.0 for s, c, t in zip(shown.T, colour.T, half.T)] for half in halves])
+
+
+def gains(logs: np.ndarray) -> np.ndarray:
+    """(pictures, 3) how much brighter each picture is than the scene, their geometric mean 1, from ``ratios`` (pictures, 2, 3).
+
+    What a picture happens to show, and what is not learned yet, makes one half differ from the other; exposure is what both
+    have in common. Their covariance over pictures against the variance of their mean (split-half reliability) is the part kept.
+    """
+    logs = logs - logs.mean(0)
+    mean, common = logs.mean(1), (logs[:, 0] * logs[:, 1]).mean()
+    kept = np.clip(common / max((mean**2).mean(), 1e-12), 0, 1)
+    return np.exp(kept * mean).astype(np.float32)
 
 
 def backdrop(views, least: float = 0.03, tolerance: int = 3) -> np.ndarray:

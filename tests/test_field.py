@@ -116,6 +116,17 @@ def test_a_truncated_or_foreign_file_is_refused(field, tmp_path):
         Field.load(path)
 
 
+def test_pictures_of_different_exposure_teach_the_scene_as_their_mean_shows_it(views, new_view):
+    gains = np.random.default_rng(0).uniform(0.45, 1.0, (len(views), 3))
+    shown = [View(v.name, v.camera, (v.image * gain).astype(np.uint8)) for v, gain in zip(views, gains)]
+    expected = (checkerboard(new_view)[0] * np.exp(np.log(gains).mean(0))).astype(np.uint8)
+    known, unknown = (
+        psnr(fit(shown, steps=300, progress=False, deterministic=True, exposure=exposure).render(new_view)[0], expected)
+        for exposure in (True, False)
+    )
+    assert known > unknown + 1
+
+
 def test_one_photograph_is_not_enough(views):
     with pytest.raises(ValueError, match="two photographs"):
         fit(views[:1], steps=1, progress=False)
