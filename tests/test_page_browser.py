@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from scene.camera import Camera
 from teach.sketch import load
 
 ROOT = Path(__file__).parents[1]
@@ -148,6 +149,57 @@ def test_a_motion_drawn_on_two_pictures_is_learned_checked_and_handed_on(visit, 
     tab.wait_for_selector("#farewell[open]")
     assert (server.folder / "done").read_text() == "reach"
     assert [len(load(server.folder / "sketches" / "reach.json")[k].strokes) for k in range(2)] == [1, 1]
+
+
+def until(tab, words: str, seconds: float = 20):
+    """The value of an expression once it is true: the page's policy lets no function be waited for."""
+    for _ in range(int(20 * seconds)):
+        if value := tab.evaluate(words):
+            return value
+        tab.wait_for_timeout(50)
+    raise AssertionError(f"never true: {words}")
+
+
+ARM = """() => {
+  const {space} = page
+  space.paintNow()
+  const {raster: {width, height, pixels, kept: [still]}} = space, sum = [0, 0, 0]
+  pixels.forEach((c, i) => { if (c !== still[i]) { sum[0] += i % width; sum[1] += Math.floor(i / width); sum[2]++ } })
+  return {at: [sum[0] / sum[2] / width, sum[1] / sum[2] / height], camera: space.camera(width, height)}
+}"""
+
+
+def test_the_arm_performs_in_space_what_was_checked_at_the_moment_of_the_slider(visit):
+    tab = visit("space")
+    until(tab, "!!(page.space.mesh && page.space.arm)")
+    shown = lambda: tab.evaluate(ARM)
+
+    def where(place, point):
+        seen = place["camera"]
+        pixel = Camera(seen["K"], seen["world_from_camera"], seen["width"], seen["height"]).project(np.array(point))
+        return pixel / [seen["width"], seen["height"]]
+
+    tab.evaluate("page.work.changed = () => {}")
+    np.testing.assert_allclose((place := shown())["at"], where(place, [0, -0.3, 0.1]), atol=0.02)
+    draw(tab, 0, motion(0))
+    draw(tab, 1, motion(1))
+    saved(tab)
+    tab.evaluate("page.work.fit()")
+    tab.wait_for_selector("body[data-motion=shown]", timeout=60000)
+    tab.click("#act >> text=Check")
+    tab.wait_for_selector("#verdict:not([hidden])")
+    for t in (0, 0.5, 1):
+        tab.evaluate(f"page.setTime({t})")
+        np.testing.assert_allclose((place := shown())["at"], where(place, [0, 0.4 * t - 0.2, 0.1]), atol=0.02)
+    assert tab.inner_text("#clock") == "3.0 s"
+    tab.keyboard.press("Space")
+    until(tab, "page.clock.time > 0.05 && page.clock.time < 1")
+    tab.keyboard.press("3")
+    tab.keyboard.press("f")
+    until(tab, "page.space.canvas.clientHeight > 300")
+    before = tab.evaluate("page.space.table.place.azimuth")
+    tab.keyboard.press("ArrowRight")
+    assert tab.evaluate("page.space.table.place.azimuth") != before
 
 
 def test_samples_are_raw_pixels_of_the_picture_whatever_the_zoom_and_the_screen(visit, server):
@@ -384,7 +436,7 @@ def test_where_views_contradict_each_other_is_said_and_help_follows_the_pen(visi
     tab.mouse.down()
     for place in rest:
         tab.mouse.move(*place)
-    assert tab.evaluate("!!page.views[1].helper && page.views[1].helper.s > 0")
+    assert tab.evaluate("!!page.views[1].pen.helper && page.views[1].pen.helper.s > 0")
     tab.mouse.up()
     (found,) = tab.evaluate("page.views[1].disagreements().map(d => ({...d.part, other: d.other}))")
     assert found["other"] == "left" and found["most"] > 15 and 0.2 < found["from"] < found["to"] < 0.9
@@ -396,9 +448,6 @@ def test_the_least_certain_part_is_offered_to_be_drawn_again_close_up_on_the_vie
         weakest: {from: 0.25, to: 0.5, uncertainty_mm: 30, view: 'above'}, ways: [{share: 1, samples: [], covariance: Array(5).fill(Array(9).fill(0)),
         mean: [0, 1, 2, 3, 4].map(i => [0, 0.1 * i - 0.2, 0.1])}]}, page.stale = false, page.work.redrawOffered(), page.paint()""")
     tab.click("#redraw button")
-    for _ in range(100):  # the page's policy lets no function be waited for
-        if tab.evaluate("page.focused.zoom.scale > 1.5 * page.focused.least"):
-            break
-        tab.wait_for_timeout(100)
-    assert tab.evaluate("page.focused.name") == "above" and tab.evaluate("page.focused.zoom.scale > 1.5 * page.focused.least")
+    until(tab, "page.focused.zoom.scale > 1.5 * page.focused.least")
+    assert tab.evaluate("page.focused.name") == "above"
     assert "once more on above" in tab.inner_text("#says")

@@ -50,7 +50,7 @@ def _with_whole_regions(sketches) -> tuple[list[Sketch], list[str]]:
 
 def shown(skill: Skill) -> dict:
     """Plain numbers: times (T,), for each way its share, mean (T, 3) [m], samples (S, T, 3), covariance (T, 3, 3) [m^2];
-    duration [s], events, the report's sentences and weakest part, the edges (E, 2, 3) of keep-out volumes."""
+    duration [s], events, the report's sentences and weakest part, of keep-out volumes the edges (E, 2, 3) [m] and convex pieces."""
     return {
         "times": TIMES.tolist(),
         "ways": [_way(way) for way in skill.ways],
@@ -60,8 +60,13 @@ def shown(skill: Skill) -> dict:
         "warnings": skill.report.get("warnings", []),
         "weakest": skill.report.get("weakest"),
         "seconds": skill.report.get("seconds"),
-        "regions": [region.edges.round(4).tolist() for region in visual_hull(skill.keep_out)],
+        "regions": [_region(region) for region in visual_hull(skill.keep_out)],
     }
+
+
+def _region(region) -> dict:
+    pieces = [{"vertices": vertices.round(4).tolist(), "faces": faces.tolist()} for vertices, faces in region.pieces]
+    return {"edges": region.edges.round(4).tolist(), "pieces": pieces}
 
 
 def _way(way) -> dict:

@@ -11,8 +11,9 @@ from starlette.requests import Request
 from starlette.responses import FileResponse, Response
 
 from scene.files import replacing
-from teach.page.asked import RENDER, SUGGEST, Wrong, body_of, camera_of, json_answer
+from teach.page.asked import RENDER, SUGGEST, WORK, Wrong, body_of, camera_of, json_answer
 from teach.page.page import Page
+from teach.page.solid import packed
 from teach.page.store import checked_name, parse
 
 SMALL = 320
@@ -22,13 +23,28 @@ SMALL = 320
 async def scene(page: Page, request: Request) -> Response:
     scene = page.scene
     views = [{"name": name, "kind": view.kind, "camera": view.camera.plain()} for name, view in scene.views.items()]
-    can = {name: name in page.works for name in ("fit", "render", "suggest", "plan", "perform")} | {"finish": page.finished is not None}
+    can = {name: name in page.works for name in ("fit", "render", "suggest", "plan", "perform", "body")}
+    can |= {"finish": page.finished is not None, "mesh": scene.mesh is not None}
     about = {"title": scene.title, "unit": scene.unit, "surfaces": list(scene.surfaces), "target": list(scene.target)}
     return json_answer(about | {"views": views, "can": can})
 
 
 async def points(page: Page, request: Request) -> Response:
     return json_answer({"points": page.scene.points.round(4).tolist(), "colours": page.scene.colours.tolist()})
+
+
+async def mesh(page: Page, request: Request) -> Response:
+    """The scene's surface, as solid.py packs it."""
+    if page.scene.mesh is None:
+        raise Wrong(404, "this scene has no mesh: python -m scene.mesh makes it from a trained field", "path")
+    solid = await run_in_threadpool(page.scene.mesh)
+    return Response(await run_in_threadpool(packed, solid), media_type="application/octet-stream", headers={"content-encoding": "gzip"})
+
+
+async def body(page: Page, request: Request) -> Response:
+    """The arm's links as triangles, and where they are at home."""
+    asked = await body_of(request, WORK)
+    return json_answer(await page.work(request, "body", asked["tab"], None))
 
 
 async def picture(page: Page, request: Request) -> Response:

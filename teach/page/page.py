@@ -16,7 +16,7 @@ from teach.page.worker import Worker
 
 @dataclass(eq=False)
 class Page:
-    """What a request needs. works: which Worker does "fit", "render", "suggest", "plan", "perform"; a missing one is off.
+    """What a request needs. works: which Worker does "fit", "render", "suggest", "plan", "perform", "body"; a missing one is off.
     finished(name, sketches) is called when a person is done with a skill; None: there is nothing to be done with it."""
 
     store: Store

@@ -3,6 +3,7 @@
     /                         the page                        /static/...             its modules
     /api/scene                views, cameras, what is possible /pictures/<view>?small  a view's picture
     /api/points               sparse points for the 3D view    /api/render             any viewpoint, by the field
+    /api/mesh                 its surface, where there is one  /api/body               the arm's links as triangles
     /api/suggest              a viewpoint for the next sketch
     /api/skills               names                           /api/skills/<name>      GET, PUT, DELETE one, by revision (ETag)
     /api/skills/<name>/fit    the motion that it draws        .../plan, .../perform, .../video, .../done
@@ -53,6 +54,8 @@ def create(page: Page, hosts=LOOPBACK, token: str | None = None) -> Starlette:
         Route("/pictures/{view}", answering(looking.picture)),
         Route("/api/scene", answering(looking.scene)),
         Route("/api/points", answering(looking.points)),
+        Route("/api/mesh", answering(looking.mesh)),
+        Route("/api/body", answering(looking.body), methods=["POST"]),
         Route("/api/render", answering(looking.render), methods=["POST"]),
         Route("/api/suggest", answering(looking.suggest), methods=["POST"]),
         Route("/api/skills", answering(skills.names)),

@@ -160,7 +160,7 @@ INK = """async () => {
     }
     requestAnimationFrame(step)
   })
-  const kept = view.line.points.length, painted = view.painted
+  const kept = view.pen.line.points.length, painted = view.pen.painted
   view.frame.dispatchEvent(event('pointerup', 50 + sent * 0.6, 200))
   return {sent, kept, painted, spent: spent.sort((a, b) => a - b), frames: late.slice(1).sort((a, b) => a - b)}
 }"""
