@@ -202,6 +202,33 @@ def test_the_arm_performs_in_space_what_was_checked_at_the_moment_of_the_slider(
     assert tab.evaluate("page.space.table.place.azimuth") != before
 
 
+def test_the_hand_points_along_an_arrow_drawn_on_two_pictures_and_undo_takes_it_back(visit, server):
+    tab = visit("hand")
+    draw(tab, 0, motion(0))
+    draw(tab, 1, motion(1))
+    direction, tail = np.array([0.5, 0.0, -0.85]), np.array([0.0, 0.1, 0.35])
+    ends = [list(VIEWS.values())[k].project(tail + np.array([[0.0], [0.5], [1.0]]) * 0.2 * direction) for k in range(2)]
+    tab.select_option("#hand", "along")
+    assert "Draw an arrow" in tab.inner_text("#says") and tab.evaluate("page.tool") == "arrow"
+    draw(tab, 0, ends[0])
+    assert "second picture" in tab.inner_text("#says")
+    until(tab, "document.querySelector('#warnings').textContent.includes('only on view')")
+    draw(tab, 1, ends[1])
+    axis = np.array(until(tab, "!page.stale && page.motion?.axis"))
+    np.testing.assert_allclose(axis, direction / np.linalg.norm(direction), atol=0.05)
+    saved(tab)
+    assert [s.orientation for s in load(server.folder / "sketches" / "hand.json")] == [{"kind": "along"}] * 2
+    tab.evaluate("document.activeElement.blur()")
+    tab.keyboard.press("g")
+    assert tab.input_value("#hand") == "free"
+    until(tab, "!page.stale && page.motion && !page.motion.axis")
+    tab.keyboard.press("Control+z")
+    assert tab.input_value("#hand") == "along"
+    draw(tab, 1, ends[1][::-1])
+    until(tab, "document.querySelector('#warnings').textContent.includes('opposite sides')")
+    assert len(server.strokes("hand")) == 4  # an arrow takes the place of the one before
+
+
 def test_samples_are_raw_pixels_of_the_picture_whatever_the_zoom_and_the_screen(visit, server):
     tab = visit("raw", device_scale_factor=2)
     draw(tab, 0, LINE)
