@@ -1,13 +1,8 @@
 """A person's two minutes, in a real browser: every pointer event is Chromium's own."""
 
 import json
-import os
-import signal
-import socket
-import subprocess
 import sys
 import time
-import urllib.request
 from io import BytesIO
 from pathlib import Path
 
@@ -18,115 +13,16 @@ from PIL import Image
 from scene.camera import Camera
 from teach.sketch import load
 
-ROOT = Path(__file__).parents[1]
-sys.path.insert(0, str(ROOT / "tests" / "page"))
+sys.path.insert(0, str(Path(__file__).parent / "page"))
+from browsing import Server, browser, draw, motion, needs_chromium, places, saved, server, until, visit  # noqa: E402, F401
 from serve import CORNER, VIEWS  # noqa: E402
 
-CHROMIUM = "/usr/bin/chromium"
-pytestmark = pytest.mark.skipif(not Path(CHROMIUM).exists(), reason="no Chromium on this machine")
-
-
-class Server:
-    """tests/page/serve.py as a process; starts again on the same port after kill()."""
-
-    def __init__(self, folder: Path, learn: bool = False):
-        with socket.create_server(("127.0.0.1", 0)) as free:
-            self.port = free.getsockname()[1]
-        self.folder, self.learn = folder, learn
-        self.start()
-
-    def start(self):
-        command = [sys.executable, ROOT / "tests" / "page" / "serve.py", self.folder, str(self.port), *(["learn"] * self.learn)]
-        environment = os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-        self.process = subprocess.Popen(command, env=environment)
-        for _ in range(600):
-            try:
-                return urllib.request.urlopen(f"{self.address}/api/skills", timeout=2).read()
-            except OSError:
-                time.sleep(0.05)
-        raise RuntimeError("the server does not answer")
-
-    def kill(self):
-        self.process.send_signal(signal.SIGKILL)
-        self.process.wait()
-
-    @property
-    def address(self) -> str:
-        return f"http://127.0.0.1:{self.port}"
-
-    def strokes(self, skill: str) -> list:
-        return [stroke for sketch in load(self.folder / "sketches" / f"{skill}.json") for stroke in sketch.strokes]
-
-
-@pytest.fixture(scope="module")
-def browser():
-    from playwright.sync_api import sync_playwright
-
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox", "--disable-background-networking"])
-        yield browser
-        browser.close()
-
-
-@pytest.fixture(scope="module")
-def server(tmp_path_factory):
-    server = Server(tmp_path_factory.mktemp("page"), learn=True)
-    yield server
-    server.kill()
-
-
-@pytest.fixture
-def visit(browser, server):
-    """visit(skill, ...) opens a tab; a script error in any of them fails the test."""
-    contexts, errors = [], []
-
-    def open_tab(skill, at=server, context=None, **settings):
-        if context is None:
-            context = browser.new_context(viewport={"width": 1280, "height": 800}, **settings)
-            contexts.append(context)
-        tab = context.new_page()
-        tab.on("pageerror", lambda error: errors.append(str(error)))
-        tab.goto(f"{at.address}/?skill={skill}")
-        tab.wait_for_selector("body[data-ready]")
-        return tab
-
-    yield open_tab
-    for context in contexts:
-        context.close()
-    assert not errors
-
-
-def places(tab, view: int, pixels) -> list[tuple[float, float]]:
-    """Pixels of a picture -> positions in the window."""
-    box, zoom = tab.locator(".frame").nth(view).bounding_box(), tab.evaluate(f"page.views[{view}].zoom")
-    return [(box["x"] + zoom["x"] + zoom["scale"] * u, box["y"] + zoom["y"] + zoom["scale"] * v) for u, v in pixels]
-
-
-def draw(tab, view: int, pixels) -> None:
-    """With the mouse."""
-    first, *rest = places(tab, view, pixels)
-    tab.mouse.move(*first)
-    tab.mouse.down()
-    for place in rest:
-        tab.mouse.move(*place)
-    tab.mouse.up()
-
-
-def saved(tab) -> None:
-    tab.wait_for_timeout(30)
-    tab.wait_for_selector("#saving[data-state=saved]", timeout=20000)
-
+pytestmark = needs_chromium
 
 LINE = np.column_stack([np.linspace(150, 480, 25), 260 + 60 * np.sin(np.linspace(0, 4, 25))])
 
 
 FINE = np.linspace(0, 1, 400)[:, None]
-
-
-def motion(view: int, shift=0.0) -> np.ndarray:
-    t = np.linspace(0, 1, 30)[:, None]
-    curve = np.hstack([0.1 * np.sin(3 * t), 0.5 * t - 0.25, 0.05 + 0.5 * t * (1 - t)])
-    return list(VIEWS.values())[view].project(curve) + shift
 
 
 def test_a_motion_drawn_on_two_pictures_is_learned_checked_and_handed_on(visit, server):
@@ -149,15 +45,6 @@ def test_a_motion_drawn_on_two_pictures_is_learned_checked_and_handed_on(visit, 
     tab.wait_for_selector("#farewell[open]")
     assert (server.folder / "done").read_text() == "reach"
     assert [len(load(server.folder / "sketches" / "reach.json")[k].strokes) for k in range(2)] == [1, 1]
-
-
-def until(tab, words: str, seconds: float = 20):
-    """The value of an expression once it is true: the page's policy lets no function be waited for."""
-    for _ in range(int(20 * seconds)):
-        if value := tab.evaluate(words):
-            return value
-        tab.wait_for_timeout(50)
-    raise AssertionError(f"never true: {words}")
 
 
 ARM = """() => {

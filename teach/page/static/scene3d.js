@@ -85,7 +85,7 @@ export class Scene3D {
     const {motion, plan} = page, learned = motion && !page.stale
     for (const view of page.views) if (view.view) this.paintCamera(g, camera, view, r)
     if (learned) {
-      for (const region of motion.regions) for (const edge of region.edges) this.line(g, camera, edge, '#e0283a', 1.2 * r)
+      for (const region of motion.regions) for (const edge of region.edges) this.line(g, camera, edge, '#e0283a', r, 0.35)
       for (const way of motion.ways) {
         for (const sample of way.samples) this.timed(g, camera, sample, motion.times, r, 0.4)
         this.timed(g, camera, way.mean, motion.times, 3.5 * r, 1)

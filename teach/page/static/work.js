@@ -85,7 +85,9 @@ export class Work {
   tellAll(text, warnings = [], mood = '') {
     find('sentence').textContent = text
     find('sentence').dataset.mood = mood
-    find('warnings').replaceChildren(...warnings.map(w => Object.assign(document.createElement('li'), {textContent: w})))
+    const list = find('warnings')
+    list.replaceChildren(...warnings.map(w => Object.assign(document.createElement('li'), {textContent: w})))
+    list.tabIndex = list.scrollHeight > list.clientHeight ? 0 : -1 // what has to be scrolled can be by keys
     find('redraw').hidden = true
     find('verdict').hidden = true
   }
