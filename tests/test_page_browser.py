@@ -216,6 +216,42 @@ def test_fingers_and_pens_draw_and_palms_and_second_fingers_do_not(visit, server
     assert np.ptp(strokes[1].pressure) > 0.3
 
 
+def test_two_fingers_zoom_with_every_tool_and_never_move_the_picture_or_leave_a_stroke(visit, server):
+    tab = visit("pinch", has_touch=True)
+    cdp = tab.context.new_cdp_session(tab)
+    finger = lambda kind, *points: cdp.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": [{"x": x, "y": y, "id": i} for i, (x, y) in enumerate(points)]})
+    draw(tab, 0, LINE)
+    saved(tab)
+    before = tab.evaluate("page.document.text()")
+    under = np.array([[280.0, 220.0], [340.0, 260.0]])  # of the picture, where the fingers are put down
+    for tool in "dwkpmveh":
+        tab.keyboard.press("0")
+        tab.keyboard.press(tool)
+        one, two = map(np.array, places(tab, 0, under))
+        finger("touchStart", one)
+        finger("touchStart", one, two)
+        for share in np.linspace(0, 1, 6):
+            finger("touchMove", one - [90 * share, 60 * share], two + [90 * share, 60 * share])
+        at = np.array(places(tab, 0, under))
+        np.testing.assert_allclose(at, [one - [90, 60], two + [90, 60]], atol=3)  # what was under the fingers still is
+        finger("touchEnd", two + [90, 60])
+        finger("touchMove", two)
+        finger("touchStart", two, one)
+        finger("touchMove", two + 9, one + 9)
+        finger("touchEnd")
+        assert tab.evaluate("!page.views[0].pen.line && !page.views[0].pen.waypoints.length && !page.selected && page.views[0].zoom.scale > 2 * page.views[0].least"), tool
+    assert tab.evaluate("page.document.text()") == before
+    tab.keyboard.press("d")
+    way = places(tab, 0, LINE[10:16])
+    finger("touchStart", way[0])
+    for place in way[1:]:
+        finger("touchMove", place)
+    finger("touchEnd")
+    saved(tab)
+    first, second = server.strokes("pinch")
+    assert second.pointer == "touch" and np.abs(second.points[[0, -1]] - LINE[[10, 15]]).max() < 0.6
+
+
 def test_marks_and_keep_out_regions_are_drawn_and_kept(visit, server):
     tab = visit("marks")
     draw(tab, 0, LINE)
