@@ -376,6 +376,24 @@ def test_keys_reach_everything_all_is_named_and_nothing_is_cut_off_at_twice_the_
         assert tab.evaluate("page.views.map(v => v.frame.clientWidth)")[0] >= 340
 
 
+def test_every_command_has_a_key_of_its_own_that_the_list_names_and_none_breaks_the_page(visit):
+    tab = visit("commands")
+    draw(tab, 0, motion(0))
+    draw(tab, 1, motion(1))
+    tab.wait_for_selector("body[data-motion=shown]", timeout=60000)
+    keys = tab.evaluate("[...document.querySelectorAll('#key-list kbd')].flatMap(k => k.textContent.split(', '))")
+    assert len(keys) == len(set(keys)) > 45
+    for key in keys:
+        if key not in (",", "Ctrl+O"):  # the one moves the slider below; the other opens the system's own dialog
+            tab.keyboard.press(key.replace("Ctrl", "Control"))
+        tab.evaluate("document.querySelectorAll('dialog[open]').forEach(d => d.close()), document.querySelectorAll(':popover-open').forEach(p => p.hidePopover())")
+    tab.evaluate("page.skills.open('commands')")
+    until(tab, "page.name === 'commands' && page.saver.state === 'saved'")
+    tab.evaluate("page.setTime(0.5)")
+    tab.keyboard.press(",")
+    assert tab.evaluate("page.clock.time") < 0.5
+
+
 def test_where_views_contradict_each_other_is_said_and_help_follows_the_pen(visit):
     tab = visit("apart")
     draw(tab, 0, motion(0))

@@ -94,7 +94,7 @@ export class Orbit {
     find('orbit-words').textContent = 'Looking for the best viewpoint.'
     try {
       const {camera, sentence} = await ask('/api/suggest', {method: 'POST', body: {skill: this.page.name, tab}})
-      find('orbit-words').textContent = sentence
+      find('orbit-words').textContent = `From here your strokes say most about what is still open. ${sentence}`
       this.like = resized(camera, this.like.width, this.like.height)
       this.table.stand(this.like, this.page.scene.target)
       this.look(this.like)

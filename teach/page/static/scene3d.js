@@ -25,7 +25,7 @@ export class Scene3D {
   /** From the side of where the first picture was taken, the arm not in the way. */
   beginning() {
     const {views: [first], target, can} = this.page.scene, p = first ? around(first.camera, target) : {azimuth: -2, elevation: 0.6, distance: 2}
-    return {azimuth: p.azimuth + 1.1, elevation: Math.min(p.elevation, 0.5), distance: (can.body ? 1.45 : 1.2) * p.distance, target: can.body ? [0.6 * target[0], 0.6 * target[1], target[2]] : target}
+    return {azimuth: p.azimuth + 1.1, elevation: Math.min(p.elevation, 0.5), distance: (can.body ? 1.25 : 1.15) * p.distance, target: can.body ? [0.6 * target[0], 0.6 * target[1], target[2]] : target}
   }
 
   async load() {
