@@ -1,8 +1,6 @@
 """A person's two minutes, in a real browser: every pointer event is Chromium's own."""
 
-import json
 import sys
-import time
 from io import BytesIO
 from pathlib import Path
 
@@ -14,13 +12,12 @@ from scene.camera import Camera
 from teach.sketch import load
 
 sys.path.insert(0, str(Path(__file__).parent / "page"))
-from browsing import Server, browser, draw, motion, needs_chromium, places, saved, server, until, visit  # noqa: E402, F401
+pytest.register_assert_rewrite("browsing")
+from browsing import LINE, draw, motion, needs_chromium, places, saved, until  # noqa: E402
 from serve import CORNER, VIEWS  # noqa: E402
 
+pytest_plugins = ["browsing"]
 pytestmark = needs_chromium
-
-LINE = np.column_stack([np.linspace(150, 480, 25), 260 + 60 * np.sin(np.linspace(0, 4, 25))])
-
 
 FINE = np.linspace(0, 1, 400)[:, None]
 
@@ -168,28 +165,6 @@ def test_undo_redo_erase_duplicate_and_clear_by_key_and_a_reload_shows_the_same(
     assert tab.evaluate("page.document.text()") == before and count() == 2
 
 
-def test_a_motion_can_be_drawn_by_keys_alone(visit, server):
-    tab = visit("keys")
-    for view in ("1", "2"):
-        tab.keyboard.press(view)
-        tab.keyboard.press("w")
-        tab.keyboard.press("Enter")
-        for _ in range(3):
-            for _ in range(4):
-                tab.keyboard.press("ArrowRight")
-            tab.keyboard.press("ArrowUp")
-            tab.keyboard.press("Enter")
-        tab.keyboard.press("Enter")
-    tab.keyboard.press("v")
-    tab.keyboard.press("ArrowRight")
-    tab.keyboard.press("c")
-    saved(tab)
-    strokes = server.strokes("keys")
-    assert [len(stroke.points) for stroke in strokes] == [4, 4] and strokes[0].pointer == "waypoints"
-    assert strokes[0].points[-1] - strokes[0].points[0] == pytest.approx([120, -30])
-    assert [[event.name for event in stroke.events] for stroke in strokes] == [[], ["gripper_close"]]
-
-
 def test_fingers_and_pens_draw_and_palms_and_second_fingers_do_not(visit, server):
     tab = visit("touch", has_touch=True)
     cdp = tab.context.new_cdp_session(tab)
@@ -268,132 +243,6 @@ def test_marks_and_keep_out_regions_are_drawn_and_kept(visit, server):
     assert np.linalg.norm(at - LINE[12]) < 20
 
 
-def test_what_is_exported_is_imported_the_same(visit, tmp_path):
-    tab = visit("exported")
-    draw(tab, 0, LINE)
-    draw(tab, 1, LINE - [0, 40])
-    before = tab.evaluate("page.document.text()")
-    for key, ending in (("Control+s", "json"), ("Control+Shift+S", "svg")):
-        with tab.expect_download() as download:
-            tab.keyboard.press(key)
-        download.value.save_as(tmp_path / f"export.{ending}")
-        tab.keyboard.press("Shift+X")
-        tab.set_input_files("#file", tmp_path / f"export.{ending}")
-        tab.wait_for_timeout(400)
-        assert json.loads(tab.evaluate("page.document.text()")) == json.loads(before), ending
-    (tmp_path / "bad.json").write_text('{"schema": "x"}')
-    tab.set_input_files("#file", tmp_path / "bad.json")
-    tab.wait_for_timeout(200)
-    assert "cannot be imported" in tab.inner_text("#says") and tab.evaluate("page.document.all.length") == 2
-
-
-def test_of_two_pages_on_one_skill_the_second_writer_is_told_and_nothing_is_lost(visit, server):
-    one = visit("shared")
-    two = visit("shared", context=one.context)
-    one.bring_to_front()
-    draw(one, 0, LINE)
-    saved(one)
-    two.bring_to_front()
-    two.wait_for_timeout(300)
-    assert two.evaluate("page.document.all.length") == 1  # it follows as long as it has nothing of its own
-    two.evaluate("page.saver.revision = 'an older one'")
-    draw(two, 1, LINE)
-    two.wait_for_selector("#conflict:not([hidden])")
-    two.click("#keep-mine")
-    two.wait_for_selector("#skills >> text=shared (mine)", state="attached")
-    assert len(server.strokes("shared")) == 1 and len(server.strokes("shared (mine)")) == 2
-
-
-def test_a_server_killed_between_strokes_loses_none(visit, tmp_path):
-    server = Server(tmp_path / "killed")
-    try:
-        tab, rng = visit("killed", at=server), np.random.default_rng(0)
-        for k in range(4):
-            draw(tab, k % 2, LINE + [0, 9 * k])
-            time.sleep(rng.uniform(0, 0.05))
-            server.kill()
-            draw(tab, k % 2, LINE - [0, 9 * k + 9])  # drawn while it is away
-            server.start()
-        saved(tab)
-        assert len(server.strokes("killed")) == 8
-        server.kill()
-        draw(tab, 0, LINE)
-        context = tab.context
-        tab.close(run_before_unload=False)
-        server.start()
-        again = visit("killed", at=server, context=context)
-        saved(again)
-        assert len(server.strokes("killed")) == 9  # what a closed page could not save, the next one does
-    finally:
-        server.kill()
-
-
-@pytest.mark.slow
-def test_fifty_kills_at_any_moment_lose_no_finished_stroke_and_break_no_file(visit, tmp_path):
-    server = Server(tmp_path / "killed")
-    try:
-        tab, rng = visit("often", at=server), np.random.default_rng(1)
-        for k in range(50):
-            draw(tab, k % 2, LINE + [0, k])
-            time.sleep(rng.uniform(0, 0.06))
-            server.kill()
-            for path in (server.folder / "sketches").glob("*.json"):
-                load(path)
-            server.start()
-        saved(tab)
-        tab.wait_for_selector("#saving[data-state=saved]", timeout=20000)
-        assert len(server.strokes("often")) == 50
-    finally:
-        server.kill()
-
-
-@pytest.mark.slow
-def test_twenty_tabs_drawing_at_once_mix_nothing(visit, server):
-    first = visit("tab 0")
-    tabs = [first, *(visit(f"tab {k}", context=first.context) for k in range(1, 20))]
-    for _ in range(3):
-        for k, tab in enumerate(tabs):  # saved by the page's own way, all at once: a background tab gets no frames to draw in
-            tab.evaluate(f"page.document.addView(page.views[0].name, page.views[0].view.camera), page.document.add(page.views[0].name, {{points: [[{k}, 1], [{k}, 9]], times: [0, 1], demonstration: 0, kind: 'motion'}})")
-    for tab in tabs:
-        saved(tab)
-    for k in range(20):
-        strokes = server.strokes(f"tab {k}")
-        assert len(strokes) == 3 and all((stroke.points[:, 0] == k).all() for stroke in strokes)
-
-
-def test_keys_reach_everything_all_is_named_and_nothing_is_cut_off_at_twice_the_size(visit):
-    tab = visit("basics")
-    reached = set()
-    for _ in range(60):
-        tab.keyboard.press("Tab")
-        reached.add(tab.evaluate("document.activeElement.id || document.activeElement.title || document.activeElement.className"))
-    shown = "[...document.querySelectorAll('button, select, input, canvas[tabindex], .frame')].filter(e => e.checkVisibility() && !e.disabled)"
-    assert {*tab.evaluate(f"{shown}.map(e => e.id || e.title || e.className)")} <= reached
-    assert tab.evaluate(f"{shown}.filter(e => !(e.getAttribute('aria-label') || e.textContent.trim() || e.labels?.length)).map(e => e.outerHTML)") == []
-    for width, height in ((640, 400), (768, 1024)):
-        tab.set_viewport_size({"width": width, "height": height})
-        assert tab.evaluate("document.documentElement.scrollWidth - innerWidth") <= 0
-        assert tab.evaluate("page.views.map(v => v.frame.clientWidth)")[0] >= 340
-
-
-def test_every_command_has_a_key_of_its_own_that_the_list_names_and_none_breaks_the_page(visit):
-    tab = visit("commands")
-    draw(tab, 0, motion(0))
-    draw(tab, 1, motion(1))
-    tab.wait_for_selector("body[data-motion=shown]", timeout=60000)
-    keys = tab.evaluate("[...document.querySelectorAll('#key-list kbd')].flatMap(k => k.textContent.split(', '))")
-    assert len(keys) == len(set(keys)) > 45
-    for key in keys:
-        if key not in (",", "Ctrl+O"):  # the one moves the slider below; the other opens the system's own dialog
-            tab.keyboard.press(key.replace("Ctrl", "Control"))
-        tab.evaluate("document.querySelectorAll('dialog[open]').forEach(d => d.close()), document.querySelectorAll(':popover-open').forEach(p => p.hidePopover())")
-    tab.evaluate("page.skills.open('commands')")
-    until(tab, "page.name === 'commands' && page.saver.state === 'saved'")
-    tab.evaluate("page.setTime(0.5)")
-    tab.keyboard.press(",")
-    assert tab.evaluate("page.clock.time") < 0.5
-
-
 def test_where_views_contradict_each_other_is_said_and_help_follows_the_pen(visit):
     tab = visit("apart")
     draw(tab, 0, motion(0))
@@ -419,3 +268,25 @@ def test_the_least_certain_part_is_offered_to_be_drawn_again_close_up_on_the_vie
     until(tab, "page.focused.zoom.scale > 1.5 * page.focused.least")
     assert tab.evaluate("page.focused.name") == "above"
     assert "once more on above" in tab.inner_text("#says")
+
+
+def test_another_viewpoint_is_seen_coarsely_then_sharply_and_can_be_drawn_on(visit, server):
+    tab = visit("orbit")
+    tab.evaluate("""() => {
+      const shown = globalThis.shown = []
+      new MutationObserver(() => shown.push(+page.orbit.image.dataset.width)).observe(page.orbit.image, {attributeFilter: ['data-width']})
+    }""")
+    tab.keyboard.press("a")
+    tab.wait_for_selector("#orbit-picture[data-width='640']")
+    for _ in range(3):
+        tab.keyboard.press("ArrowRight")
+    until(tab, "shown.length > 3 && shown.at(-1) === 640")
+    shown = tab.evaluate("shown")
+    assert shown[0] == 160 and shown[shown.index(640) + 1] == 160  # never sharp before it was coarse
+    tab.click("#orbit-use")
+    until(tab, "!document.querySelector('#orbit').open && page.views[0].name === 'viewpoint 1' && !!page.views[0].image")
+    draw(tab, 0, LINE)
+    saved(tab)
+    (sketch,) = load(server.folder / "sketches" / "orbit.json")
+    first = list(VIEWS.values())[0]
+    assert sketch.view == "viewpoint 1" and 0.2 < np.linalg.norm(sketch.camera.centre - first.centre) < 0.6

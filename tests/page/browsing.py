@@ -17,6 +17,8 @@ from teach.sketch import load
 
 ROOT = Path(__file__).parents[2]
 CHROMIUM = "/usr/bin/chromium"
+LINE = np.column_stack([np.linspace(150, 480, 25), 260 + 60 * np.sin(np.linspace(0, 4, 25))])
+"""Pixels of a stroke."""
 needs_chromium = pytest.mark.skipif(not Path(CHROMIUM).exists(), reason="no Chromium on this machine")
 
 

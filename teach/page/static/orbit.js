@@ -6,7 +6,7 @@ import {Turntable} from './turntable.js'
 
 const find = id => document.getElementById(id)
 const STILL = 180 // ms without a move after which the sharp picture is asked for
-const SHARP = 640
+const COARSE = 160, SHARP = 640 // px of a picture's width
 
 /** The field's picture from a camera, as a blob. */
 export const renderFrom = (camera, more = {}, signal) => ask('/api/render', {method: 'POST', body: {camera, tab, ...more}, signal})
@@ -55,23 +55,24 @@ export class Orbit {
     this.look(this.table.camera(this.like))
   }
 
+  /** Show a viewpoint: coarsely at once, sharply when it stays. */
   look(camera) {
     this.camera = camera
+    this.moved = true
+    this.moving ??= this.coarse().finally(() => { this.moving = null })
     clearTimeout(this.timer)
-    this.timer = setTimeout(() => this.render(this.camera), STILL)
-    this.coarse()
+    this.timer = setTimeout(async () => {
+      await this.moving // a coarse picture that comes late is seen all the same
+      if (this.camera === camera && this.stage.closest('[open]')) this.render(camera)
+    }, STILL)
   }
 
   /** The coarse picture of where the camera is; one at a time, the newest. */
   async coarse() {
-    this.again = true
-    if (this.looping) return
-    this.looping = true
-    while (this.again) {
-      this.again = false
-      await this.render(resized(this.camera, 160, Math.round(160 * this.camera.height / this.camera.width)))
+    while (this.moved) {
+      this.moved = false
+      await this.render(resized(this.camera, COARSE, Math.round(COARSE * this.camera.height / this.camera.width)))
     }
-    this.looping = false
   }
 
   /** Show what the field shows from there, instead of what was asked for before. */
