@@ -53,6 +53,13 @@ ARM = """() => {
 }"""
 
 
+GHOST = """() => {
+  const {raster: {width, pixels}} = page.views[0].ghost, sum = [0, 0, 0]
+  pixels.forEach((c, i) => { if (c) { sum[0] += i % width + 0.5; sum[1] += Math.floor(i / width) + 0.5; sum[2]++ } })
+  return [sum[0] / sum[2], sum[1] / sum[2]]
+}"""
+
+
 def test_the_arm_performs_in_space_what_was_checked_at_the_moment_of_the_slider(visit):
     tab = visit("space")
     until(tab, "!!(page.space.mesh && page.space.arm)")
@@ -76,6 +83,8 @@ def test_the_arm_performs_in_space_what_was_checked_at_the_moment_of_the_slider(
         tab.evaluate(f"page.setTime({t})")
         np.testing.assert_allclose((place := shown())["at"], where(place, [0, 0.4 * t - 0.2, 0.1]), atol=0.02)
     assert tab.inner_text("#clock") == "3.0 s"
+    box = np.array(tab.evaluate(GHOST))  # the same on a picture, as its camera sees it
+    np.testing.assert_allclose(box, list(VIEWS.values())[0].project(np.array([0, 0.2, 0.1])), atol=4)
     tab.keyboard.press("Space")
     until(tab, "page.clock.time > 0.05 && page.clock.time < 1")
     tab.keyboard.press("3")

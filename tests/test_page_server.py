@@ -168,7 +168,7 @@ def test_done_goes_on_only_with_a_motion_that_can_be_seen_in_3d(client, page):
     assert client.post("/api/skills/whole/done", json={"tab": "t"}).json() == {"done": "whole"} and page.done == ["whole"]
 
 
-ROUTES = ["/", "/static/{0}", "/pictures/{0}", "/api/scene", "/api/points", "/api/render", "/api/suggest", "/api/skills", "/api/skills/{0}",
+ROUTES = ["/", "/static/{0}", "/pictures/{0}", "/api/scene", "/api/points", "/api/mesh", "/api/body", "/api/render", "/api/suggest", "/api/skills", "/api/skills/{0}",
           "/api/skills/{0}/fit", "/api/skills/{0}/plan", "/api/skills/{0}/perform", "/api/skills/{0}/video", "/api/skills/{0}/done", "/{0}"]  # fmt: skip
 NAMES = st.one_of(st.text(alphabet=st.characters(exclude_characters="?#", exclude_categories=("Cs",)), max_size=30), st.sampled_from(["kept", "view1", "%00", "..%2f..", "%ff"]))
 JSON = st.recursive(st.none() | st.booleans() | st.floats() | st.integers() | st.text(max_size=8), lambda x: st.lists(x, max_size=4) | st.dictionaries(st.text(max_size=8), x, max_size=4), max_leaves=12)

@@ -55,6 +55,7 @@ function commands(page) {
     {group: 'Show', key: 'Shift+S', label: 'Strokes', place: 'menu', on: () => page.shows.strokes, run: () => toggle(page, 'strokes')},
     {group: 'Show', key: 'Shift+M', label: 'Learned motion', place: 'menu', on: () => page.shows.motion, run: () => toggle(page, 'motion')},
     {group: 'Show', key: 'Shift+H', label: 'Help lines while drawing', place: 'menu', on: () => page.shows.help, run: () => toggle(page, 'help')},
+    {group: 'Show', key: 'Shift+R', label: 'The arm on the pictures, once checked', place: 'menu', on: () => page.shows.arm, run: () => toggle(page, 'arm')},
     {group: 'Skill', key: 'N', label: 'New skill', place: 'menu', run: () => page.skills.create()},
     {group: 'Skill', key: 'Shift+Delete', label: 'Remove this skill', place: 'menu', run: () => page.skills.remove()},
     {group: 'Skill', key: 'Ctrl+S', label: 'Export as JSON', place: 'menu', run: () => download(`${page.name}.json`, doc.text(), 'application/json')},

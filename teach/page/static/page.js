@@ -1,12 +1,13 @@
 // The sketching page. Start reading here: what all views share, and what happens after each change.
 //
-//   document.js  strokes, undo, files         view.js      a picture               scene3d.js    the motion in space
-//   skills.js    which skill is shown         pointers.js  mouse, pen, fingers     raster.js     its surfaces
-//   server.js    saving, never over others    pen.js       strokes being drawn     turntable.js  turning it
-//   work.js      fit, check, perform          choice.js    choosing strokes        orbit.js      other viewpoints
-//   clock.js     the moment, playing          ink.js       painting strokes        overlay.js    painting the motion
-//   commands.js  every command, its key       help.js      epipolar help           geometry.js   the maths
-//   pictures.js  which views are shown        hand.js      how the hand is held    demonstrations.js, dialogs.js
+//   document.js  strokes, undo, files        view.js      a picture               scene3d.js    the motion in space
+//   skills.js    which skill is shown        pointers.js  mouse, pen, fingers     raster.js     surfaces
+//   server.js    saving, never over others   pen.js       strokes being drawn     arm.js        the arm
+//   work.js      fit, check, perform         choice.js    choosing strokes        turntable.js  turning
+//   clock.js     the moment, playing         ink.js       painting strokes        orbit.js      other viewpoints
+//   commands.js  every command, its key      overlay.js   painting the motion     geometry.js   the maths
+//   pictures.js  which views are shown       help.js      epipolar help           hand.js       how the hand is held
+//   demonstrations.js, dialogs.js
 
 import {Document} from './document.js'
 import {View} from './view.js'
@@ -32,7 +33,7 @@ class Page {
     this.document = new Document()
     this.saver = new Saver(() => this.document.text(), (state, why) => this.showSaving(state, why))
     this.tool = 'draw'
-    this.shows = {strokes: true, motion: true, help: true}
+    this.shows = {strokes: true, motion: true, help: true, arm: true}
     this.motion = this.plan = this.selected = null
     this.demonstrations = new Demonstrations(this)
     this.pictures = new Pictures(this)
@@ -199,6 +200,7 @@ async function start() {
   const {skills} = await ask('/api/skills')
   await page.skills.open(new URLSearchParams(location.search).get('skill') || skills[0]?.name || 'motion')
   document.body.dataset.ready = 'yes'
+  page.space.load().catch(error => page.say(`The view in space lacks a part: ${error.message}`))
 }
 
 start().catch(error => { find('says').textContent = `The page did not start: ${error.message}` })

@@ -66,6 +66,8 @@ export class Raster {
     this.done = new Uint8Array(width * height)
   }
 
+  get image() { return new ImageData(new Uint8ClampedArray(this.pixels.buffer), this.width, this.height) }
+
   clear() { this.pixels.fill(0); this.near.fill(0) }
 
   keep() { this.kept = [this.pixels.slice(), this.near.slice()] }

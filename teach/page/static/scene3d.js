@@ -3,14 +3,14 @@
 // Surfaces are drawn by raster.js, into a picture that is kept while only time passes; lines above it, dim where they are hidden.
 
 import {around, project, centre, add, ray, depth} from './geometry.js'
-import {Raster, unpack, creased, matrixOf} from './raster.js'
+import {Arm, posesAt} from './arm.js'
+import {Raster, unpack} from './raster.js'
 import {Turntable} from './turntable.js'
 import {ARROW, paintHead, timeColour} from './ink.js'
 import {ask, tab} from './server.js'
 
 const STILL = 160 // ms without a move after which it is drawn finely
 const FINEST = 1.6e6 // pixels that are drawn finely
-const COLOURS = {arm: [232, 234, 240], hand: [120, 128, 148]}
 
 export class Scene3D {
   constructor(page, canvas) {
@@ -19,7 +19,6 @@ export class Scene3D {
     this.table.begin(this.beginning())
     new ResizeObserver(() => this.resize()).observe(canvas)
     document.getElementById('space-enlarge').addEventListener('click', () => this.enlarge())
-    this.load().catch(error => page.say(`The view in space lacks a part: ${error.message}`))
   }
 
   /** From the side of where the first picture was taken, the arm not in the way. */
@@ -28,6 +27,7 @@ export class Scene3D {
     return {azimuth: p.azimuth + 1.1, elevation: Math.min(p.elevation, 0.5), distance: (can.body ? 1.25 : 1.15) * p.distance, target: can.body ? [0.6 * target[0], 0.6 * target[1], target[2]] : target}
   }
 
+  /** The surface or the points, then the arm: after the pictures, which one draws on first. */
   async load() {
     const {can} = this.page.scene
     if (can.mesh) this.mesh = unpack(await (await ask('/api/mesh')).arrayBuffer())
@@ -37,9 +37,7 @@ export class Scene3D {
     }
     this.changed()
     if (!can.body) return
-    const {links, home} = await ask('/api/body', {method: 'POST', body: {tab}})
-    const hand = links.findLastIndex(link => link.faces.length > 40)
-    this.arm = {home, links: links.map((link, i) => creased(link.vertices, link.faces, i >= hand ? COLOURS.hand : COLOURS.arm))}
+    this.arm = new Arm(await ask('/api/body', {method: 'POST', body: {tab}}))
     this.changed()
   }
 
@@ -114,11 +112,10 @@ export class Scene3D {
       raster.keep()
       this.kept = true
     } else raster.restore()
-    const poses = this.arm && (page.plan ? posesAt(page.plan, page.clock.time) : this.arm.home)
-    if (poses) this.arm.links.forEach((link, i) => raster.solid(camera, link, {pose: matrixOf(poses[i])}))
+    this.arm?.draw(raster, camera, page.plan ? posesAt(page.plan, page.clock.time) : this.arm.home)
     const regions = page.motion && !page.stale ? page.motion.regions : []
     for (const region of regions) raster.veil(camera, region.solids ??= region.pieces.map(solidOf), [255, 59, 72], 0.3)
-    this.picture.getContext('2d').putImageData(new ImageData(new Uint8ClampedArray(raster.pixels.buffer), width, height), 0, 0)
+    this.picture.getContext('2d').putImageData(raster.image, 0, 0)
   }
 
   /** Where the tip is now, and how the hand is held. */
@@ -176,17 +173,3 @@ export class Scene3D {
 }
 
 const solidOf = ({vertices, faces}) => ({positions: Float32Array.from(vertices.flat()), faces: Uint32Array.from(faces.flat())})
-
-/** Where the links of a plan are at a share of its time. */
-function posesAt({times, duration, links}, t) {
-  const now = t * duration, i = Math.max(0, Math.min(times.findLastIndex(time => time <= now), times.length - 2))
-  const f = Math.min(Math.max((now - times[i]) / (times[i + 1] - times[i]), 0), 1)
-  return links[i].map((a, k) => blended(a, links[i + 1][k], f))
-}
-
-/** Between two poses [position, quaternion] that are near to each other. */
-function blended(a, b, f) {
-  const same = a[3] * b[3] + a[4] * b[4] + a[5] * b[5] + a[6] * b[6] >= 0 ? 1 : -1
-  const mixed = a.map((x, i) => (1 - f) * x + f * (i > 2 ? same : 1) * b[i]), length = Math.hypot(...mixed.slice(3))
-  return mixed.map((x, i) => i > 2 ? x / length : x)
-}

@@ -5,6 +5,7 @@
 
 import {arcLength, at, fundamental, matched, disagreement, project} from './geometry.js'
 import {TOLERANCE} from './help.js'
+import {Ghost, posesAt} from './arm.js'
 import {Pointers} from './pointers.js'
 import {Pen} from './pen.js'
 import {Choice} from './choice.js'
@@ -40,6 +41,7 @@ export class View {
     this.name = view.name
     this.image = null
     this.pen.forget()
+    this.ghost = null
     this.element.querySelector('.name').textContent = view.name
     this.element.querySelector('.kind').textContent = {photograph: 'photograph', rendered: 'rendered by the field', free: 'your viewpoint, rendered'}[view.kind]
     this.frame.setAttribute('aria-label', `Picture ${this.number + 1}: ${view.name}. Draw here, or press W for waypoints with the arrow keys and Enter.`)
@@ -157,6 +159,10 @@ export class View {
 
   paintHelp() {
     const g = this.brush('help'), {page} = this
+    if (page.plan && page.shows.arm && page.space.arm && !this.pen.line) {
+      this.ghost ??= new Ghost(this.view.camera, page.space.mesh)
+      this.ghost.paint(g, page.space.arm, posesAt(page.plan, page.clock.time), this.view.camera)
+    }
     if (page.shows.motion && page.motion && !this.pen.line) overlay.paintMoment(g, this.view.camera, page.motion, page.plan, page.clock.time, this.px)
     this.choice.paint(g)
     if (page.shows.help) this.pen.paintHelp(g)

@@ -124,7 +124,7 @@ export class Work {
     verdict.textContent = plan.feasible
       ? `The arm can do it: ${plan.duration.toFixed(1)} s, never nearer than ${Math.max(plan.least_mm, 0).toFixed(0)} mm to anything.`
       : `The arm cannot do it: ${plan.sentence}.`
-    page.say(plan.feasible ? 'The arm shows it in space: press play.' : 'Where it goes wrong is red.')
+    page.say(plan.feasible ? 'Press play: the arm shows it, in space and on the pictures.' : 'Where it goes wrong is red.')
     page.setTime(page.clock.time)
     page.refreshCommands()
     page.paint()
