@@ -338,9 +338,10 @@ def pictures(browser, address, strokes, folder: Path) -> None:
     page.wait_for_timeout(300)
     shot(2500)
     folder.mkdir(exist_ok=True)
-    frames[-1][0].quantize(256, dither=Image.Dither.NONE).save(folder / "page.png", optimize=True)
+    palette_of = {"method": Image.Quantize.FASTOCTREE, "dither": Image.Dither.NONE}  # the others wash the inks out
+    frames[-1][0].quantize(256, **palette_of).save(folder / "page.png", optimize=True)
     small = [frame.resize((800, 500), Image.Resampling.LANCZOS) for frame, _ in frames]
-    palette = small[-1].quantize(128)
+    palette = small[-1].quantize(128, **palette_of)
     small = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in small]
     small[0].save(folder / "page.gif", save_all=True, append_images=small[1:], duration=[d for _, d in frames], loop=0, optimize=True)
     for name in ("page.png", "page.gif"):

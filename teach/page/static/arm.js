@@ -33,7 +33,7 @@ export class Ghost {
     this.raster.restore()
     arm.draw(this.raster, this.camera, poses)
     this.picture.getContext('2d').putImageData(this.raster.image, 0, 0)
-    g.globalAlpha = 0.5
+    g.globalAlpha = 0.62
     g.drawImage(this.picture, 0, 0, width, height)
     g.globalAlpha = 1
   }

@@ -160,7 +160,7 @@ class Page {
   moment() { return this.plan ? tipAt(this.plan, this.clock.time) : at(this.motion.ways[0].mean, this.motion.times, this.clock.time) }
 
   paintMoment() {
-    this.views.forEach(view => view.view && view.paintHelp())
+    this.views.forEach(view => view.view && view.paintMoment())
     this.space.paint()
   }
 

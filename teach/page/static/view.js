@@ -1,7 +1,7 @@
 // One picture to draw on, at any zoom: pointers.js says what is done on it, pen.js makes strokes of that, choice.js chooses among them.
 //
-// Layers from the back: picture, ink (all that is finished), live (the line being drawn, painted as its samples arrive), help
-// (what changes with every moment). All are painted in the picture's own pixels.
+// Layers from the back: picture, arm (as it performs a checked plan), ink (all that is finished), live (the line being drawn,
+// painted as its samples arrive), help (what changes with every moment). All are painted in the picture's own pixels.
 
 import {arcLength, at, fundamental, matched, disagreement, project} from './geometry.js'
 import {TOLERANCE} from './help.js'
@@ -12,7 +12,7 @@ import {Choice} from './choice.js'
 import * as ink from './ink.js'
 import * as overlay from './overlay.js'
 
-const LAYERS = ['picture', 'ink', 'live', 'help']
+const LAYERS = ['picture', 'arm', 'ink', 'live', 'help']
 const CLOSEST = 24 // times as large as the whole picture is shown
 
 export class View {
@@ -129,7 +129,7 @@ export class View {
     if (page.plan) overlay.paintPlan(g, camera, page.plan, this.px)
     if (page.shows.strokes) this.paintDisagreements(g)
     this.pen.paint()
-    this.paintHelp()
+    this.paintMoment()
   }
 
   paintDisagreements(g) {
@@ -157,12 +157,18 @@ export class View {
     return part
   }
 
+  /** What is of the moment: the arm, where the motion is, help. */
+  paintMoment() { this.paintArm(); this.paintHelp() }
+
+  paintArm() {
+    const g = this.brush('arm'), {plan, shows, space, clock} = this.page
+    if (!plan || !shows.arm || !space.arm) return
+    this.ghost ??= new Ghost(this.view.camera, space.mesh)
+    this.ghost.paint(g, space.arm, posesAt(plan, clock.time), this.view.camera)
+  }
+
   paintHelp() {
     const g = this.brush('help'), {page} = this
-    if (page.plan && page.shows.arm && page.space.arm && !this.pen.line) {
-      this.ghost ??= new Ghost(this.view.camera, page.space.mesh)
-      this.ghost.paint(g, page.space.arm, posesAt(page.plan, page.clock.time), this.view.camera)
-    }
     if (page.shows.motion && page.motion && !this.pen.line) overlay.paintMoment(g, this.view.camera, page.motion, page.plan, page.clock.time, this.px)
     this.choice.paint(g)
     if (page.shows.help) this.pen.paintHelp(g)
