@@ -7,12 +7,13 @@ values, since a process cannot be sent a world or an arm.
 import logging
 import secrets
 import socket
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
 from hydra.utils import instantiate
 
+from conf.body import body, link_rows
 from conf.rendering import workspace
 from conf.stages import Job
 from scene.dataset import load_cameras, load_frame, load_points
@@ -77,7 +78,17 @@ def scene_of(job: Job):
     points, colours = load_points(job.capture)
     surfaces = load_depths(job.capture / "views", {name: view.camera for name, view in views.items()})
     target = np.median(points, axis=0) if len(points) else np.zeros(3)
-    return Scene(job.capture.name, views, points, colours, load_frame(job.capture)["unit"], tuple(surfaces), tuple(target.tolist()))
+    mesh = cache(partial(surface_of, job.capture / "mesh.ply")) if (job.capture / "mesh.ply").exists() else None
+    return Scene(job.capture.name, views, points, colours, load_frame(job.capture)["unit"], tuple(surfaces), tuple(target.tolist()), mesh)
+
+
+def surface_of(path: Path):
+    """The mesh of a capture folder as the page shows it."""
+    from scene.surface import Mesh
+    from teach.page.solid import thinned
+
+    mesh = Mesh.load(path)
+    return thinned(mesh.vertices, mesh.faces, mesh.colours)
 
 
 def works_of(job: Job) -> dict:
@@ -92,7 +103,7 @@ def works_of(job: Job) -> dict:
         works["suggest"] = Worker(partial(suggesting, job.settings("scene.viewpoints"), workspace(job), job.capture))
     if not job.cfg.photos:  # of photographs there is no world yet to check and perform in
         robot = {part: job.settings(f"robot.{part}") for part in ("arm", "planner", "execution")}
-        works["plan"] = works["perform"] = Worker(partial(performing, robot, job.settings("world"), job.cfg.seed))
+        works["body"] = works["plan"] = works["perform"] = Worker(partial(performing, robot, job.settings("world"), job.cfg.seed))
     return works
 
 
@@ -139,9 +150,10 @@ def suggesting(settings: dict, workspace: list | None, capture: Path) -> dict:
 
 
 def performing(settings: dict, spec: dict, seed: int) -> dict:
-    """make: {"plan": ..., "perform": ...}."""
+    """make: {"body": ..., "plan": ..., "perform": ...}."""
     parts = {name: instantiate(setting, _convert_="all") for name, setting in settings.items()}
     return {
+        "body": lambda progress: body(parts["arm"]),
         "plan": partial(_plan, parts["planner"], parts["arm"], spec, seed),
         "perform": partial(_perform, parts["execution"], parts["arm"], spec),
     }
@@ -155,12 +167,16 @@ def _plan(planner, arm, spec, seed, progress, skill: Path, keep: Path) -> dict:
     with World.from_spec(spec, textured=False) as world:
         chosen = planner(Skill.load(skill), arm, world.obstacles, start=arm.home, seed=seed)
     chosen.save(keep)
-    return planned(chosen)
+    return planned(chosen) | {"links": link_rows(arm, chosen.joints[_shown_rows(chosen)])}
+
+
+def _shown_rows(plan) -> np.ndarray:
+    return np.linspace(0, len(plan.times) - 1, min(len(plan.times), 200)).astype(int)
 
 
 def planned(plan) -> dict:
     """Plain numbers of a Plan: tip (T, 3) [m] at times (T,) [s], clearance [m], what is wrong and where along the way."""
-    rows = np.linspace(0, len(plan.times) - 1, min(len(plan.times), 200)).astype(int)
+    rows = _shown_rows(plan)
     clearance = np.minimum(plan.clearance, plan.self_clearance)
     touches, strays = clearance < MARGIN, plan.position_error > TOLERANCE
     return {

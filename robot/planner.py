@@ -109,7 +109,7 @@ def _motion(skill, search, samples, waypoints, seed, rate, moved) -> Plan:
     arm, model, comfortable = search.arm, search.model, search.comfortable
     ways = skill.starting_at(arm.fk(search.start)[:3, 3])[:samples]
     candidates, way = _candidates(ways, samples, waypoints, seed)
-    attempts = search.all(candidates, skill.orientation)
+    attempts = search.all(candidates, None if skill.hand else skill.orientation)
     detours = _detours(search, ways, attempts, moved)
     said = "; ".join(_said(detour, index) for index, detour in detours.items())
     attempts += [detour.attempt for detour in detours.values() if detour]

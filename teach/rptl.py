@@ -25,6 +25,7 @@ from teach.periodic import unrolled
 from teach.quality import TIMES, contradictions, quality, warnings
 from teach.raytrace import ExactRays, Intersections
 from teach.routes import split
+from teach.orientation import chosen
 from teach.sketch import Event, Sketch, SketchError, check, without_slips
 from teach.surface import fit_surface
 from teach.trajectory import Route, Skill, TrajectoryDistribution
@@ -93,6 +94,7 @@ def fit(
     sketches, turns = unrolled(sketches, True if periodic is None and basis.period else periodic)
     basis = basis.wrapped() if turns and not basis.period else basis
     check(sketches, surfaces=depths or ())
+    orientation = chosen(sketches)
     regions = visual_hull(sketches)  # outlines that bound nothing are refused before anything is learned
     drawn, slips = without_slips([sketch for sketch in sketches if sketch.motions])
     drawn, notes = oriented(drawn)
@@ -116,7 +118,7 @@ def fit(
     alternatives = tuple(Route(float(p), one.distribution) for p, one in zip(shares, learned, strict=False))
     best = learned[0]
     return Skill(
-        best.distribution, best.duration, best.events, None, kept, report, routes=alternatives, conditioning=conditioning
+        best.distribution, best.duration, best.events, orientation, kept, report, routes=alternatives, conditioning=conditioning
     )
 
 

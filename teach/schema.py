@@ -6,10 +6,16 @@ no keys beside the named ones, numbers finite, strings of at most 200 characters
 
 import math
 
-KINDS = ("motion", "keep_out")
+KINDS = ("motion", "keep_out", "arrow")
+HOLDS = ("keep", "down", "along")
 MAX_POINTS = 200_000
 
 _NUMBER = {"type": "number"}
+ORIENTATION = {
+    "type": "object",
+    "required": ["kind"],
+    "properties": {"kind": {"enum": list(HOLDS)}, "axis": {"type": "array", "shape": [3], "items": _NUMBER}},
+}
 SCHEMA = {
     "type": "object",
     "required": ["schema", "version", "sketches"],
@@ -34,6 +40,7 @@ SCHEMA = {
                             "height": {"type": "integer"},
                         },
                     },
+                    "orientation": ORIENTATION,
                     "strokes": {
                         "type": "array",
                         "maxItems": 1000,

@@ -22,7 +22,7 @@ from jaxtyping import Float
 
 from scene.camera import Camera
 from scene.files import replacing
-from teach.schema import KINDS, MAX_POINTS, SCHEMA, validate
+from teach.schema import KINDS, MAX_POINTS, ORIENTATION, SCHEMA, validate
 
 MAX_BYTES = 64 * 2**20
 MAX_PIXEL = 1e6
@@ -52,7 +52,8 @@ class Stroke:
     """One line drawn on a view.
 
     points: (N, 2) [px]. times: (N,) [s], not decreasing (equal ones are allowed). demonstration: which repetition of
-    the motion it draws. kind: "motion", or "keep_out" for the outline of a region to avoid. pressure: (N,) of the pen.
+    the motion it draws. kind: "motion", "keep_out" for the outline of a region to avoid, or "arrow" for where the hand
+    points, from its first point to its last. pressure: (N,) of the pen.
     pointer: the device, such as "mouse". Raises SketchError.
     """
 
@@ -114,11 +115,13 @@ class Stroke:
 
 @dataclass(frozen=True, eq=False)
 class Sketch:
-    """All strokes drawn on one view: its name, the camera that fitting uses, the strokes. Raises SketchError."""
+    """All strokes drawn on one view: its name, the camera that fitting uses, the strokes. orientation: how the hand is to be
+    held, as teach.orientation has it, the same on all views; None: as it turns out. Raises SketchError."""
 
     view: str
     camera: Camera
     strokes: tuple[Stroke, ...]
+    orientation: dict | None = None
 
     def __post_init__(self):
         if not isinstance(self.camera, Camera):
@@ -127,6 +130,8 @@ class Sketch:
         if min(self.camera.width, self.camera.height) < 1 or min(K[0, 0], K[1, 1]) <= 0 or (K[2] != [0, 0, 1]).any():
             raise SketchError(f"view {self.view!r} has no usable intrinsics: focal lengths and sizes are positive")
         object.__setattr__(self, "strokes", tuple(self.strokes))
+        if self.orientation is not None:
+            object.__setattr__(self, "orientation", held(self.orientation))
 
     @property
     def motions(self) -> tuple[Stroke, ...]:
@@ -137,6 +142,25 @@ class Sketch:
     def outlines(self) -> tuple[Stroke, ...]:
         """The strokes that outline regions to keep out of."""
         return tuple(stroke for stroke in self.strokes if stroke.kind == "keep_out")
+
+    @property
+    def arrows(self) -> tuple[Stroke, ...]:
+        """The strokes that say where the hand points."""
+        return tuple(stroke for stroke in self.strokes if stroke.kind == "arrow")
+
+
+def held(orientation: dict) -> dict:
+    """What is said of the hand, checked (teach.orientation). Raises SketchError."""
+    try:
+        validate(orientation, ORIENTATION, "orientation")
+    except ValueError as error:
+        raise SketchError(str(error)) from None
+    axis = orientation.get("axis")
+    if axis is not None and orientation["kind"] != "along":
+        raise SketchError(f"orientation: a hand that is held {orientation['kind']!r} has no axis")
+    if axis is not None and not np.linalg.norm(axis) > 1e-9:
+        raise SketchError("orientation.axis has no direction")
+    return dict(orientation)
 
 
 def check(sketches: Sequence[Sketch], surfaces: Collection[str] = ()) -> None:
@@ -257,9 +281,11 @@ def _require(document) -> None:
 
 
 def _plain(sketch: Sketch) -> dict:
+    said = {} if sketch.orientation is None else {"orientation": sketch.orientation}
     return {
         "view": sketch.view,
         "camera": sketch.camera.plain(),
+        **said,
         "strokes": [_plain_stroke(stroke) for stroke in sketch.strokes],
     }
 
@@ -288,7 +314,7 @@ def _sketch(plain: dict, where: str) -> Sketch:
             strokes.append(Stroke(**{**stroke, "events": tuple(Event(**event) for event in stroke.get("events", ()))}))
         except SketchError as error:
             raise SketchError(f"{where}.strokes[{i}]: {error}") from None
-    return Sketch(plain["view"], camera, tuple(strokes))
+    return Sketch(plain["view"], camera, tuple(strokes), plain.get("orientation"))
 
 
 def _array(values, name: str) -> np.ndarray:

@@ -16,7 +16,7 @@ from jaxtyping import Float
 
 from scene.files import replacing
 from teach.basis import Periodic, SquaredExponential
-from teach.sketch import Event, Sketch, dumps, loads
+from teach.sketch import Event, Sketch, dumps, held, loads
 
 CONDITIONING = ("gaussian", "first_weight")
 EXACT = 1e-9
@@ -173,15 +173,15 @@ class Skill:
 
     distribution: of the motion, or of the way that most strokes draw. routes: all ways, that one first, where there
     are several: the motion is their mixture, weighted by shares. conditioning: how a motion starts where the hand is,
-    "gaussian" or the paper's "first_weight". duration: of the motion [s]. events: Events at times [s] of the skill. orientation: None, or rows (t, quat_xyzw) (K,
-    5) of the hand. keep_out: Sketches of the regions to avoid. report: plain numbers and sentences about the fit
+    "gaussian" or the paper's "first_weight". duration: of the motion [s]. events: Events at times [s] of the skill. orientation: of the
+    hand: None, rows (t, quat_xyzw) (K, 5), or what teach.orientation says, such as {"kind": "down"}. keep_out: Sketches of the regions to avoid. report: plain numbers and sentences about the fit
     (JSON).
     """
 
     distribution: TrajectoryDistribution
     duration: float
     events: tuple[Event, ...] = ()
-    orientation: Float[np.ndarray, "K 5"] | None = None
+    orientation: Float[np.ndarray, "K 5"] | dict | None = None
     keep_out: tuple[Sketch, ...] = ()
     report: dict = field(default_factory=dict)
     routes: tuple[Route, ...] = ()
@@ -192,7 +192,9 @@ class Skill:
             raise ValueError(f"conditioning is one of {', '.join(CONDITIONING)}, not {self.conditioning!r}")
         if not 0 < self.duration < np.inf:
             raise ValueError(f"a skill's duration is positive, not {self.duration} s")
-        if self.orientation is not None:
+        if isinstance(self.orientation, dict):
+            object.__setattr__(self, "orientation", _pointed(self.orientation))
+        elif self.orientation is not None:
             orientation = np.array(self.orientation, dtype=float)
             if orientation.ndim != 2 or orientation.shape[1] != 5:
                 raise ValueError(f"a skill's orientation has rows (t, quat_xyzw) (K, 5), not {orientation.shape}")
@@ -201,6 +203,12 @@ class Skill:
         object.__setattr__(self, "events", tuple(self.events))
         object.__setattr__(self, "keep_out", tuple(self.keep_out))
         object.__setattr__(self, "routes", tuple(self.routes))
+
+    @property
+    def hand(self) -> str | list | None:
+        """How the hand is to be turned, in the words of robot.planner.orientation: "keep", "down" or an axis [x, y, z]; None
+        where nothing is said, or rows of orientations are."""
+        return self.orientation.get("axis", self.orientation["kind"]) if isinstance(self.orientation, dict) else None
 
     @property
     def ways(self) -> tuple[Route, ...]:
@@ -223,9 +231,10 @@ class Skill:
             "keep_out": dumps(self.keep_out),
             "report": self.report,
             "conditioning": self.conditioning,
+            "hand": self.orientation if isinstance(self.orientation, dict) else None,
         }
         arrays = {"mean": d.mean, "covariance": d.covariance, "duration": self.duration, "text": json.dumps(text)}
-        if self.orientation is not None:
+        if isinstance(self.orientation, np.ndarray):
             arrays["orientation"] = self.orientation
         if self.routes:
             arrays["route_shares"] = [route.share for route in self.routes]
@@ -251,10 +260,17 @@ class Skill:
             parts = [arrays.get(f"route_{name}", ()) for name in ("shares", "means", "covariances")]
             routes = tuple(Route(float(p), TrajectoryDistribution(basis, m, S)) for p, m, S in zip(*parts, strict=True))
             events = tuple(Event(str(name), float(time)) for name, time in text["events"])
-            return cls(distribution, float(arrays["duration"]), events, arrays.get("orientation"),
+            return cls(distribution, float(arrays["duration"]), events, text.get("hand") or arrays.get("orientation"),
                        tuple(loads(text["keep_out"])), text["report"], routes, text.get("conditioning", "gaussian"))
         except (ValueError, KeyError, TypeError, EOFError, OSError, BadZipFile) as error:
             raise ValueError(f"{path} is not a skill file ({error}); teach.fit writes one") from None
+
+
+def _pointed(orientation: dict) -> dict:
+    """What is said of a hand, with the axis along which it points."""
+    if orientation.get("kind") == "along" and orientation.get("axis") is None:
+        raise ValueError("a hand that points along something has an axis [x, y, z]")
+    return held(orientation)
 
 
 def _basis(kind: str = "SquaredExponential", **settings) -> SquaredExponential | Periodic:

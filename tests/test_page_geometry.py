@@ -53,6 +53,12 @@ def test_the_pages_maths_is_that_of_the_cameras(tmp_path):
     assert ran.returncode == 0, ran.stdout[-4000:]
 
 
+def test_all_modules_are_asked_for_at_once():
+    start = (STATIC / "index.html").read_text()
+    for path in STATIC.glob("*.js"):
+        assert f'href="/static/{path.name}"' in start or path.name == "page.js"
+
+
 def test_the_page_is_small_and_needs_no_network():
     files = [path for path in STATIC.rglob("*") if path.is_file()]
     assert sum(path.stat().st_size for path in files) < 2**20

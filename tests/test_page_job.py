@@ -68,7 +68,7 @@ def test_the_job_goes_on_with_the_skill_that_the_person_is_done_with(opened, cap
     job, address = opened
     about = send(f"{address}api/scene", "GET", "")
     assert [view["name"] for view in about["views"]] == ["view0", "view1", "view2", "photo0", "photo1", "photo2"]
-    assert about["can"] == {"fit": True, "render": False, "suggest": False, "plan": True, "perform": True, "finish": True}
+    assert about["can"] == {"fit": True, "render": False, "suggest": False, "plan": True, "perform": True, "body": True, "finish": True, "mesh": False}
     first = send(f"{address}api/skills/reach", "PUT", drawing(1), **{"if-none-match": "*"})
     assert "two views" in send(f"{address}api/skills/reach/done", "POST", '{"tab": "t"}')["error"]
     send(f"{address}api/skills/reach", "PUT", drawing(2), **{"if-match": first["revision"]})

@@ -13,6 +13,7 @@ from starlette.testclient import TestClient
 from scene.camera import Camera, look_at
 from teach.page.scene import Picture, Scene
 from teach.page.server import Page, create
+from teach.page.solid import Solid
 from teach.page.store import Store
 from teach.page.worker import Worker
 from teach.sketch import Sketch, Stroke, dumps
@@ -36,7 +37,8 @@ def scene(folder) -> Scene:
     for name in VIEWS:
         Image.new("RGB", (64, 48), "teal").save(folder / f"{name}.png")
     views = {name: Picture(folder / f"{name}.png", camera, "rendered") for name, camera in VIEWS.items()}
-    return Scene("table", views, np.zeros((3, 3)), np.full((3, 3), 7, np.uint8), surfaces=("view1",))
+    mesh = lambda: Solid(np.eye(3), np.array([[0, 1, 2]]), np.full((3, 3), 7, np.uint8))
+    return Scene("table", views, np.zeros((3, 3)), np.full((3, 3), 7, np.uint8), surfaces=("view1",), mesh=mesh)
 
 
 @pytest.fixture(scope="module")
@@ -74,10 +76,13 @@ def test_the_page_and_its_parts_are_served_and_allow_nothing_foreign(client):
     assert client.get("/static/geometry.js").headers["content-type"].startswith("text/javascript")
     about = client.get("/api/scene").json()
     assert [view["name"] for view in about["views"]] == ["view1", "view2"]
-    assert about["can"] == {"fit": False, "render": True, "suggest": False, "plan": False, "perform": False, "finish": True}
+    assert about["can"] == {"fit": False, "render": True, "suggest": False, "plan": False, "perform": False, "body": False, "finish": True, "mesh": True}
     assert client.get("/pictures/view1").headers["content-type"] == "image/png"
     assert client.get("/pictures/view1?small").headers["content-type"] == "image/jpeg"
     assert len(client.get("/api/points").json()["points"]) == 3
+    surface = client.get("/api/mesh").content
+    assert np.frombuffer(surface[:8], "<u4").tolist() == [3, 1] and len(surface) == 32 + 3 * (6 + 3) + 6
+    assert client.post("/api/body", json={"tab": "t"}).status_code == 404
 
 
 def test_a_skill_is_kept_by_revision(client):
@@ -163,7 +168,7 @@ def test_done_goes_on_only_with_a_motion_that_can_be_seen_in_3d(client, page):
     assert client.post("/api/skills/whole/done", json={"tab": "t"}).json() == {"done": "whole"} and page.done == ["whole"]
 
 
-ROUTES = ["/", "/static/{0}", "/pictures/{0}", "/api/scene", "/api/points", "/api/render", "/api/suggest", "/api/skills", "/api/skills/{0}",
+ROUTES = ["/", "/static/{0}", "/pictures/{0}", "/api/scene", "/api/points", "/api/mesh", "/api/body", "/api/render", "/api/suggest", "/api/skills", "/api/skills/{0}",
           "/api/skills/{0}/fit", "/api/skills/{0}/plan", "/api/skills/{0}/perform", "/api/skills/{0}/video", "/api/skills/{0}/done", "/{0}"]  # fmt: skip
 NAMES = st.one_of(st.text(alphabet=st.characters(exclude_characters="?#", exclude_categories=("Cs",)), max_size=30), st.sampled_from(["kept", "view1", "%00", "..%2f..", "%ff"]))
 JSON = st.recursive(st.none() | st.booleans() | st.floats() | st.integers() | st.text(max_size=8), lambda x: st.lists(x, max_size=4) | st.dictionaries(st.text(max_size=8), x, max_size=4), max_leaves=12)

@@ -18,7 +18,7 @@ from teach.sketch import SketchError
 LARGEST = 1600
 """Longer side of a rendered picture [px]."""
 
-FIELDS = ("name", "sketches", "schema", "version", "camera", "tab", "skill", "keep")
+FIELDS = ("name", "sketches", "schema", "version", "camera", "tab", "skill", "keep", "orientation")
 """What a message about a field can begin with, beside paths with an index."""
 
 _CAMERA = SCHEMA["properties"]["sketches"]["items"]["properties"]["camera"]

@@ -145,9 +145,10 @@ def _serve(make, pipe) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the server
     signal.signal(signal.SIGUSR1, stop)
     functions = make()
-    pipe.send("ready")
+    answer = "ready"
     while True:
         try:
+            pipe.send(answer)
             name, arguments = pipe.recv()
             try:
                 working = True
@@ -163,7 +164,3 @@ def _serve(make, pipe) -> None:
         except Exception as error:  # a defect: the page says so, the log says where
             traceback.print_exc()
             answer = "failed", f"{type(error).__name__}: {' '.join(str(error).split())}"
-        try:
-            pipe.send(answer)
-        except OSError:
-            return

@@ -11,6 +11,7 @@ from PIL import Image, ImageDraw
 from scene.camera import Camera, look_at
 from teach.page.scene import Picture, Scene
 from teach.page.server import Page, create
+from teach.page.solid import Solid
 from teach.page.store import Store
 from teach.page.worker import Worker
 
@@ -32,11 +33,23 @@ def learning() -> dict:
 
 
 def acting() -> dict:
-    return {"render": render, "plan": plan, "perform": perform}
+    return {"render": render, "plan": plan, "perform": perform, "body": body}
 
 
 def render(progress, camera):
     return np.broadcast_to(np.linspace(60, 200, camera.width, dtype=np.uint8)[None, :, None], (camera.height, camera.width, 3)).copy()
+
+
+def body(progress):
+    """An arm of one box."""
+    corners = [[x, y, z] for x in (-0.03, 0.03) for y in (-0.03, 0.03) for z in (-0.03, 0.03)]
+    faces = [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]]
+    return {"name": "box", "links": [{"name": "hand", "vertices": corners, "faces": faces}], "home": [[0, -0.3, 0.1, 0, 0, 0, 1]]}
+
+
+def surface() -> Solid:
+    vertices = np.array([[x, y, 0.0] for x in (-0.5, 0.5) for y in (-0.5, 0.5)])
+    return Solid(vertices, np.array([[0, 2, 3], [0, 3, 1]]), np.full((4, 3), 170, np.uint8))
 
 
 def plan(progress, skill, keep):
@@ -46,7 +59,8 @@ def plan(progress, skill, keep):
     tip = np.linspace([0, -0.2, 0.1], [0, 0.2, 0.1], 30)
     touches = [10 < i < 20 for i in range(30)]
     return {"feasible": False, "sentence": "the mean: finger touches cup at 40 %", "refusals": [], "times": list(np.linspace(0, 3, 30)), "tip": tip.tolist(),
-            "clearance_mm": [20.0] * 30, "touches": touches, "strays": [False] * 30, "least_mm": -3.0, "duration": 3.0}  # fmt: skip
+            "clearance_mm": [20.0] * 30, "touches": touches, "strays": [False] * 30, "least_mm": -3.0, "duration": 3.0,
+            "links": [[[*p, 0, 0, 0, 1]] for p in tip.tolist()]}  # fmt: skip
 
 
 def perform(progress, plan, skill, keep):
@@ -65,7 +79,7 @@ def scene(folder: Path) -> Scene:
         image.save(folder / f"{name}.png")
     points = np.random.default_rng(0).uniform([-0.5, -0.5, 0], [0.5, 0.5, 0.01], (400, 3))
     views = {name: Picture(folder / f"{name}.png", camera, "rendered") for name, camera in VIEWS.items()}
-    return Scene("grid", views, points, np.full((400, 3), 150, np.uint8), target=(0.0, 0.0, 0.1))
+    return Scene("grid", views, points, np.full((400, 3), 150, np.uint8), target=(0.0, 0.0, 0.1), mesh=surface)
 
 
 def main(folder: str, port: str, learns: str = "") -> None:
@@ -74,7 +88,7 @@ def main(folder: str, port: str, learns: str = "") -> None:
     works = {}
     if learns:
         actor = Worker(acting)
-        works = {"fit": Worker(learning), "render": actor, "plan": actor, "perform": actor}
+        works = {"fit": Worker(learning), "render": actor, "plan": actor, "perform": actor, "body": actor}
     page = Page(Store(folder / "sketches"), scene(folder), works, finished=lambda name, sketches: (folder / "done").write_text(name))
     uvicorn.run(create(page), host="127.0.0.1", port=int(port), log_level="warning", loop="asyncio")
 

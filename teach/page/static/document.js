@@ -4,14 +4,15 @@
 // undoing is to go back to the list before, and each stroke's text is made once.
 
 const texts = new WeakMap()
+const plain = ({view, camera, orientation, strokes}) => orientation ? {view, camera, orientation, strokes} : {view, camera, strokes}
 const DEPTH = 200
 
 export class Document {
   constructor() { this.sketches = []; this.past = []; this.future = []; this.listeners = new Set() }
 
   /** Replace everything by what a file says; nothing to undo. */
-  load(plain) {
-    this.sketches = plain.sketches.map(s => ({view: s.view, camera: s.camera, strokes: s.strokes}))
+  load(file) {
+    this.sketches = file.sketches.map(plain)
     this.past = []; this.future = []
     this.tell('loaded')
   }
@@ -21,7 +22,8 @@ export class Document {
 
   sketch(view) { return this.sketches.find(s => s.view === view) }
   strokes(view) { return this.sketch(view)?.strokes ?? [] }
-  motions(view) { return this.strokes(view).filter(s => (s.kind ?? 'motion') === 'motion') }
+  motions(view) { return this.of(view, 'motion') }
+  of(view, kind) { return this.strokes(view).filter(s => (s.kind ?? 'motion') === kind) }
   get all() { return this.sketches.flatMap(s => s.strokes.map(stroke => ({view: s.view, stroke}))) }
 
   /** Apply a change (sketches -> sketches) that can be undone. what: in words, for the status. */
@@ -47,7 +49,7 @@ export class Document {
   }
 
   addView(view, camera) {
-    if (!this.sketch(view)) this.sketches = [...this.sketches, {view, camera, strokes: []}]
+    if (!this.sketch(view)) this.sketches = [...this.sketches, plain({view, camera, orientation: this.orientation, strokes: []})]
   }
   on(view, what, make) {
     this.change(what, sketches => sketches.map(s => s.view === view ? {...s, strokes: make(s.strokes)} : s))
@@ -55,6 +57,17 @@ export class Document {
   add(view, stroke) { this.on(view, 'a stroke', strokes => [...strokes, stroke]) }
   remove(view, stroke) { this.on(view, 'erased a stroke', strokes => strokes.filter(s => s !== stroke)) }
   replace(view, stroke, other, what) { this.on(view, what, strokes => strokes.map(s => s === stroke ? other : s)) }
+  /** How the hand is held, by what the skill says; undefined where it is free. */
+  get orientation() { return this.sketches.find(s => s.orientation)?.orientation }
+  orient(orientation) { this.change('how the hand is held', sketches => sketches.map(s => plain({...s, orientation}))) }
+  /** The hand's arrow on a view, which the hand points along from now on. */
+  point(view, stroke) {
+    this.change("the hand's arrow", sketches => sketches.map(s => {
+      const strokes = s.view === view ? [...s.strokes.filter(x => x.kind !== 'arrow'), stroke] : s.strokes
+      return {...s, strokes, orientation: {kind: 'along'}}
+    }))
+  }
+
   clear() { this.change('cleared everything', sketches => sketches.map(s => ({...s, strokes: []}))) }
 
   /** Mark something on a stroke at a time of its clock; the same mark there again takes it away. */
@@ -73,14 +86,14 @@ export class Document {
         if (!texts.has(stroke)) texts.set(stroke, JSON.stringify(stroke))
         return texts.get(stroke)
       })
-      return `{"view":${JSON.stringify(s.view)},"camera":${JSON.stringify(s.camera)},"strokes":[${strokes.join(',')}]}`
+      return `{"view":${JSON.stringify(s.view)},"camera":${JSON.stringify(s.camera)}${s.orientation ? `,"orientation":${JSON.stringify(s.orientation)}` : ''},"strokes":[${strokes.join(',')}]}`
     })
     return `{"schema":"scene2skill.sketches","version":1,"sketches":[${sketches.join(',')}]}`
   }
 }
 
-/** What was drawn as SVG, one group for each view, in its pixels. colour(demonstration) -> CSS colour. */
-export function toSVG(document, colour) {
+/** What was drawn as SVG, one group for each view, in its pixels. colourOf(stroke) -> CSS colour. */
+export function toSVG(document, colourOf) {
   const escape = text => text.replace(/[<>&"]/g, c => `&#${c.charCodeAt(0)};`)
   let x = 0
   const groups = document.sketches.filter(s => s.strokes.length).map(s => {
@@ -88,12 +101,12 @@ export function toSVG(document, colour) {
       const [first, ...rest] = stroke.points, keep = stroke.kind === 'keep_out'
       const d = `M${first.join(',')}L${rest.map(p => p.join(',')).join(' ')}${keep ? 'Z' : ''}`
       const data = escape(JSON.stringify({...stroke, points: undefined}))
-      const look = keep ? 'fill="#d22f2733" stroke="#d22f27"' : `fill="none" stroke="${colour(stroke.demonstration ?? 0)}"`
+      const look = keep ? 'fill="#d22f2733" stroke="#d22f27"' : `fill="none" stroke="${colourOf(stroke)}"`
       return `<path d="${d}" ${look} stroke-width="3" stroke-linecap="round" stroke-linejoin="round" data-stroke="${data}"/>`
     })
     const camera = escape(JSON.stringify(s.camera))
     const {width, height} = s.camera
-    const group = `<g transform="translate(${x},0)" data-view="${escape(s.view)}" data-camera="${camera}"><title>${escape(s.view)}</title>` +
+    const group = `<g transform="translate(${x},0)" data-view="${escape(s.view)}" data-camera="${camera}"${s.orientation ? ` data-orientation="${escape(JSON.stringify(s.orientation))}"` : ''}><title>${escape(s.view)}</title>` +
       `<rect width="${width}" height="${height}" fill="none" stroke="#888"/>${paths.join('')}</g>`
     x += width + 20
     return group
@@ -108,7 +121,7 @@ export function fromSVG(text) {
   const groups = [...svg.querySelectorAll('g[data-view]')]
   if (svg.querySelector('parsererror') || !groups.length) throw new Error('this SVG was not exported by this page: no views are named in it')
   const sketches = groups.map(g => ({
-    view: g.dataset.view, camera: JSON.parse(g.dataset.camera),
+    view: g.dataset.view, camera: JSON.parse(g.dataset.camera), ...g.dataset.orientation && {orientation: JSON.parse(g.dataset.orientation)},
     strokes: [...g.querySelectorAll('path[data-stroke]')].map(path => {
       const points = path.getAttribute('d').replace(/[MZ]/g, '').replace('L', ' ').trim().split(' ').map(p => p.split(',').map(Number))
       return {...JSON.parse(path.dataset.stroke), points}

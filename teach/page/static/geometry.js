@@ -27,6 +27,9 @@ export function project(camera, point) {
   return [u / w, v / w]
 }
 
+/** How far before the camera a world point is, along its axis. */
+export function depth({world_from_camera: M}, point) { return [0, 1, 2].reduce((sum, i) => sum + M[i][2] * (point[i] - M[i][3]), 0) }
+
 /** Derivative (2x3) [px/m] of project at a point in front of the camera. */
 export function jacobian(camera, point) {
   const P = times3(camera.K, transposed(rotation(camera)))

@@ -1,11 +1,14 @@
-// Painting in image coordinates: strokes, marks, the learned motion, help. `px` is the size of a CSS pixel there, so that
+// Painting in image coordinates: strokes, marks, help. `px` is the size of a CSS pixel there, so that
 // lines keep their width on the screen at any zoom.
 
-import {project, ellipse, clipped, at} from './geometry.js'
+import {clipped, at} from './geometry.js'
 
 export const INKS = ['#ff6b2c', '#2f9bff', '#3ccf6a', '#d65cff', '#ffc61a', '#16c7c2', '#ff5c8a', '#a5b4fc']
 export const inkOf = demonstration => INKS[((demonstration % INKS.length) + INKS.length) % INKS.length]
 const RAMP = [[92, 60, 220], [206, 44, 160], [255, 112, 80], [255, 214, 92]]
+const KEEP_OUT = '#ff4d4d'
+export const ARROW = '#00b7ff'
+export const colourOf = stroke => ({keep_out: KEEP_OUT, arrow: ARROW})[stroke.kind] ?? inkOf(stroke.demonstration ?? 0)
 export const MARKS = {
   gripper_close: {label: 'Close gripper', short: 'C', glyph: '●'}, gripper_open: {label: 'Open gripper', short: 'O', glyph: '○'},
   pause: {label: 'Pause', short: 'S', glyph: 'Ⅱ'}, contact: {label: 'Touch the surface', short: 'T', glyph: '▼'},
@@ -43,11 +46,12 @@ export function paintStroke(g, stroke, px, {selected = false, faded = false} = {
   g.strokeStyle = selected ? '#fff' : 'rgb(12 14 20 / .55)'
   g.lineWidth = (selected ? 7 : 5) * px
   g.stroke(path)
-  g.strokeStyle = stroke.kind === 'keep_out' ? '#ff4d4d' : inkOf(stroke.demonstration ?? 0)
+  g.strokeStyle = colourOf(stroke)
   g.lineWidth = 3 * px
   g.stroke(path)
   g.setLineDash([])
-  if (stroke.kind !== 'keep_out') paintStart(g, stroke, px)
+  if (stroke.kind === 'arrow') paintHead(g, stroke.points[0], stroke.points.at(-1), 15 * px, ARROW)
+  else if (stroke.kind !== 'keep_out') paintStart(g, stroke, px)
   for (const event of stroke.events ?? []) paintMark(g, at(stroke.points, stroke.times, event.time), event.name, px)
   g.restore()
 }
@@ -61,6 +65,36 @@ function paintStart(g, stroke, px) {
   g.lineWidth = 2.5 * px
   g.strokeStyle = inkOf(stroke.demonstration ?? 0)
   g.stroke()
+}
+
+/** The tip of an arrow from one pixel to another. */
+export function paintHead(g, [u, v], [x, y], size, colour) {
+  const turn = Math.atan2(y - v, x - u)
+  g.beginPath()
+  g.moveTo(x + 0.3 * size * Math.cos(turn), y + 0.3 * size * Math.sin(turn))
+  for (const side of [2.65, -2.65]) g.lineTo(x + size * Math.cos(turn + side), y + size * Math.sin(turn + side))
+  g.closePath()
+  g.fillStyle = colour
+  g.fill()
+}
+
+export function paintWaypoints(g, waypoints, cursor, px, colour) {
+  g.lineWidth = 2 * px
+  g.strokeStyle = g.fillStyle = colour
+  g.beginPath()
+  waypoints.forEach((p, i) => i ? g.lineTo(...p) : g.moveTo(...p))
+  if (cursor && waypoints.length) g.lineTo(...cursor)
+  g.stroke()
+  for (const p of waypoints) { g.beginPath(); g.arc(...p, 5 * px, 0, 7); g.fill() }
+  if (!cursor) return
+  const [u, v] = cursor, r = 14 * px
+  for (const [w, style] of [[4, 'rgb(0 0 0 / .6)'], [2, '#fff']]) {
+    g.beginPath()
+    g.moveTo(u - r, v); g.lineTo(u + r, v); g.moveTo(u, v - r); g.lineTo(u, v + r)
+    g.lineWidth = w * px
+    g.strokeStyle = style
+    g.stroke()
+  }
 }
 
 export function paintMark(g, [u, v], name, px) {
@@ -80,102 +114,6 @@ export function paintMark(g, [u, v], name, px) {
   g.textBaseline = 'middle'
   g.fillText(MARKS[name]?.short ?? '?', 0, 0.5)
   g.restore()
-}
-
-/** A polyline of world points as the camera sees it, painted piece by piece in the colour of its time. */
-export function paintTimed(g, camera, points, times, width, alpha, colour = timeColour) {
-  g.lineWidth = width
-  g.lineCap = 'round'
-  let before = null
-  points.forEach((point, i) => {
-    const here = project(camera, point)
-    if (before && here) {
-      g.beginPath()
-      g.moveTo(...before)
-      g.lineTo(...here)
-      g.strokeStyle = colour(times[i], alpha)
-      g.stroke()
-    }
-    before = here
-  })
-}
-
-/** The learned motion: its spread as ellipses of two deviations, samples, the mean. */
-export function paintMotion(g, camera, motion, px, {weakest = true} = {}) {
-  const {times} = motion
-  motion.ways.forEach((way, number) => {
-    g.save()
-    if (!number) for (let i = 0; i < times.length; i += 4) {
-      const e = ellipse(camera, way.mean[i], way.covariance[i])
-      if (!e || e.radii[0] > camera.width) continue
-      g.beginPath()
-      g.ellipse(...e.at, 2 * e.radii[0], 2 * e.radii[1], e.turn, 0, 7)
-      g.fillStyle = timeColour(times[i], 0.07)
-      g.fill()
-    }
-    for (const sample of way.samples) paintTimed(g, camera, sample, times, 1.1 * px, 0.4)
-    paintTimed(g, camera, way.mean, times, 7 * px, 0.75, () => 'rgb(255 255 255 / .8)')
-    paintTimed(g, camera, way.mean, times, 4 * px, 1)
-    g.restore()
-  })
-  if (weakest && motion.weakest) paintPart(g, camera, motion, motion.weakest, px)
-}
-
-function paintPart(g, camera, motion, {from, to}, px) {
-  const inside = motion.ways[0].mean.filter((_, i) => motion.times[i] >= from && motion.times[i] <= to).map(p => project(camera, p)).filter(Boolean)
-  g.save()
-  g.beginPath()
-  inside.forEach((p, i) => i ? g.lineTo(...p) : g.moveTo(...p))
-  g.setLineDash([2 * px, 6 * px])
-  g.lineWidth = 12 * px
-  g.lineCap = 'butt'
-  g.strokeStyle = 'rgb(255 196 0 / .55)'
-  g.stroke()
-  g.restore()
-}
-
-/** The checked motion: white where it is well, red where the arm touches something or does not follow. */
-export function paintPlan(g, camera, plan, px) {
-  const bad = i => plan.touches[i] || plan.strays[i] || (!plan.feasible && !plan.touches.some(Boolean) && !plan.strays.some(Boolean))
-  let before = null
-  g.save()
-  g.lineCap = 'round'
-  plan.tip.forEach((point, i) => {
-    const here = project(camera, point)
-    if (before && here) {
-      g.beginPath()
-      g.moveTo(...before)
-      g.lineTo(...here)
-      g.lineWidth = (bad(i) ? 6 : 2.5) * px
-      g.strokeStyle = bad(i) ? '#ff2d3d' : 'rgb(120 255 190 / .95)'
-      g.stroke()
-    }
-    before = here
-  })
-  g.restore()
-}
-
-/** Where the motion is at a time: a dot with its spread. */
-export function paintMoment(g, camera, motion, t, px) {
-  for (const way of motion.ways) {
-    const here = project(camera, at(way.mean, motion.times, t))
-    if (!here) continue
-    const i = Math.round(t * (motion.times.length - 1)), e = ellipse(camera, way.mean[i], way.covariance[i])
-    g.beginPath()
-    if (e) g.ellipse(...here, 2 * e.radii[0], 2 * e.radii[1], e.turn, 0, 7)
-    g.fillStyle = 'rgb(255 255 255 / .2)'
-    g.fill()
-    g.lineWidth = 1.2 * px
-    g.strokeStyle = 'rgb(255 255 255 / .8)'
-    g.stroke()
-    g.beginPath()
-    g.arc(...here, 6.5 * px, 0, 7)
-    g.fillStyle = timeColour(t)
-    g.fill()
-    g.lineWidth = 2.5 * px
-    g.strokeStyle = '#fff'
-    g.stroke()
-  }
 }
 
 /** Help from another view: the band of lines, and the line of the moment. */

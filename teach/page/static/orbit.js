@@ -1,11 +1,12 @@
 // Other pictures: choosing one of the scene's, or looking around with the field, coarse while moving and sharp when still.
 
 import {ask, tab, Answer} from './server.js'
-import {around, orbiting, resized} from './geometry.js'
+import {resized} from './geometry.js'
+import {Turntable} from './turntable.js'
 
 const find = id => document.getElementById(id)
 const STILL = 180 // ms without a move after which the sharp picture is asked for
-const SHARP = 640
+const COARSE = 160, SHARP = 640 // px of a picture's width
 
 /** The field's picture from a camera, as a blob. */
 export const renderFrom = (camera, more = {}, signal) => ask('/api/render', {method: 'POST', body: {camera, tab, ...more}, signal})
@@ -14,7 +15,7 @@ export const renderFrom = (camera, more = {}, signal) => ask('/api/render', {met
 export function choosePicture(page, view) {
   const dialog = find('pictures'), list = find('picture-list')
   const drawn = name => page.document.strokes(name).length
-  list.replaceChildren(...page.allViews.map(v => {
+  list.replaceChildren(...page.pictures.all.map(v => {
     const button = Object.assign(document.createElement('button'), {type: 'button', className: 'choice'})
     if (v.kind !== 'free') button.append(Object.assign(new Image(), {src: `/pictures/${encodeURIComponent(v.name)}?small`, alt: '', loading: 'lazy'}))
     button.append(Object.assign(document.createElement('span'), {textContent: v.name}))
@@ -35,12 +36,8 @@ export class Orbit {
     this.page = page
     this.image = find('orbit-picture')
     const stage = this.stage = find('orbit-stage')
-    stage.addEventListener('pointerdown', event => { stage.setPointerCapture(event.pointerId); this.grip = [event.clientX, event.clientY] })
-    stage.addEventListener('pointermove', event => this.drag(event))
-    stage.addEventListener('pointerup', () => { this.grip = null })
-    stage.addEventListener('wheel', event => { event.preventDefault(); this.move({farther: Math.exp(event.deltaY / 600)}) }, {passive: false})
-    stage.addEventListener('keydown', event => this.key(event))
-    find('orbit-use').addEventListener('click', () => { find('orbit').close(); page.useViewpoint(this.view, this.camera) })
+    this.table = new Turntable(stage, () => this.look(this.table.camera(this.like)), {lowest: -0.2})
+    find('orbit-use').addEventListener('click', () => { find('orbit').close(); page.pictures.use(this.view, this.camera) })
     find('orbit-suggest').addEventListener('click', () => this.suggest())
     find('orbit').addEventListener('close', () => { clearTimeout(this.timer); this.asking?.abort() })
     find('orbit-suggest').hidden = !page.scene.can.suggest
@@ -51,50 +48,31 @@ export class Orbit {
     const like = view.view.camera, {target} = this.page.scene
     const width = SHARP, height = Math.round(SHARP * like.height / like.width)
     this.like = resized(like, width, height)
-    this.place = around(this.like, target)
+    this.table.stand(this.like, target)
     find('orbit-words').textContent = 'Drag, or use the arrow keys, to look around; the wheel, + and - go nearer and farther.'
     find('orbit').showModal()
     this.stage.focus()
-    this.move({})
+    this.look(this.table.camera(this.like))
   }
 
-  drag(event) {
-    if (!this.grip) return
-    const [x, y] = this.grip
-    this.grip = [event.clientX, event.clientY]
-    this.move({azimuth: -(event.clientX - x) / 250, elevation: (event.clientY - y) / 250})
-  }
-
-  key(event) {
-    const step = {ArrowLeft: {azimuth: -0.08}, ArrowRight: {azimuth: 0.08}, ArrowUp: {elevation: 0.06}, ArrowDown: {elevation: -0.06}, '+': {farther: 0.9}, '=': {farther: 0.9}, '-': {farther: 1.1}}[event.key]
-    if (!step) return
-    event.preventDefault()
-    this.move(step)
-  }
-
-  move({azimuth = 0, elevation = 0, farther = 1}) {
-    const p = this.place
-    this.place = {azimuth: p.azimuth + azimuth, elevation: Math.min(Math.max(p.elevation + elevation, -0.2), 1.5), distance: Math.min(Math.max(p.distance * farther, 0.05), 50)}
-    this.look(orbiting(this.like, this.page.scene.target, this.place))
-  }
-
+  /** Show a viewpoint: coarsely at once, sharply when it stays. */
   look(camera) {
     this.camera = camera
+    this.moved = true
+    this.moving ??= this.coarse().finally(() => { this.moving = null })
     clearTimeout(this.timer)
-    this.timer = setTimeout(() => this.render(this.camera), STILL)
-    this.coarse()
+    this.timer = setTimeout(async () => {
+      await this.moving // a coarse picture that comes late is seen all the same
+      if (this.camera === camera && this.stage.closest('[open]')) this.render(camera)
+    }, STILL)
   }
 
   /** The coarse picture of where the camera is; one at a time, the newest. */
   async coarse() {
-    this.again = true
-    if (this.looping) return
-    this.looping = true
-    while (this.again) {
-      this.again = false
-      await this.render(resized(this.camera, 160, Math.round(160 * this.camera.height / this.camera.width)))
+    while (this.moved) {
+      this.moved = false
+      await this.render(resized(this.camera, COARSE, Math.round(COARSE * this.camera.height / this.camera.width)))
     }
-    this.looping = false
   }
 
   /** Show what the field shows from there, instead of what was asked for before. */
@@ -117,9 +95,10 @@ export class Orbit {
     find('orbit-words').textContent = 'Looking for the best viewpoint.'
     try {
       const {camera, sentence} = await ask('/api/suggest', {method: 'POST', body: {skill: this.page.name, tab}})
-      find('orbit-words').textContent = sentence
-      this.place = around(camera, this.page.scene.target)
-      this.look(resized(camera, this.like.width, this.like.height))
+      find('orbit-words').textContent = `From here your strokes say most about what is still open. ${sentence}`
+      this.like = resized(camera, this.like.width, this.like.height)
+      this.table.stand(this.like, this.page.scene.target)
+      this.look(this.like)
     } catch (error) { find('orbit-words').textContent = error.message }
   }
 }

@@ -1,110 +1,175 @@
-// The motion in space: the scene's points, the cameras, what was learned, regions to keep out of, the arm's tip, the moment.
+// The motion in space: the scene's surface or points, the arm, the cameras, what was learned, regions to keep out of, the moment.
+//
+// Surfaces are drawn by raster.js, into a picture that is kept while only time passes; lines above it, dim where they are hidden.
 
-import {project, orbiting, around, at, centre, add, ray} from './geometry.js'
-import {timeColour} from './ink.js'
-import {ask} from './server.js'
+import {around, project, centre, add, ray, depth} from './geometry.js'
+import {Arm, posesAt} from './arm.js'
+import {Raster, unpack} from './raster.js'
+import {Turntable} from './turntable.js'
+import {ARROW, paintHead, timeColour} from './ink.js'
+import {ask, tab} from './server.js'
+
+const STILL = 160 // ms without a move after which it is drawn finely
+const FINEST = 1.6e6 // pixels that are drawn finely
 
 export class Scene3D {
   constructor(page, canvas) {
-    this.page = page
-    this.canvas = canvas
-    this.points = []
-    this.target = page.scene.target
-    const first = page.scene.views[0]
-    this.place = first ? around(first.camera, this.target) : {azimuth: -2, elevation: 0.6, distance: 2}
-    this.place = {...this.place, azimuth: this.place.azimuth + 0.5, distance: this.place.distance * 1.3}
+    Object.assign(this, {page, canvas, fine: 1, points: null, mesh: null, arm: null, picture: document.createElement('canvas')})
+    this.table = new Turntable(canvas, () => this.moved(), {wheels: event => event.ctrlKey || document.activeElement === canvas})
+    this.table.begin(this.beginning())
     new ResizeObserver(() => this.resize()).observe(canvas)
-    canvas.addEventListener('pointerdown', event => { canvas.setPointerCapture(event.pointerId); this.grip = [event.clientX, event.clientY] })
-    canvas.addEventListener('pointermove', event => this.drag(event))
-    canvas.addEventListener('pointerup', () => { this.grip = null })
-    canvas.addEventListener('wheel', event => { if (event.ctrlKey || document.activeElement === canvas) { event.preventDefault(); this.move(0, 0, Math.exp(event.deltaY / 500)) } }, {passive: false})
-    canvas.addEventListener('keydown', event => this.key(event))
-    ask('/api/points').then(({points, colours}) => {
-      this.points = points.map((p, i) => [p, `rgb(${colours[i]})`])
-      this.paint()
-    })
+    document.getElementById('space-enlarge').addEventListener('click', () => this.enlarge())
+  }
+
+  /** From the side of where the first picture was taken, the arm not in the way. */
+  beginning() {
+    const {views: [first], target, can} = this.page.scene, p = first ? around(first.camera, target) : {azimuth: -2, elevation: 0.6, distance: 2}
+    return {azimuth: p.azimuth + 1.1, elevation: Math.min(p.elevation, 0.5), distance: (can.body ? 1.25 : 1.15) * p.distance, target: can.body ? [0.6 * target[0], 0.6 * target[1], target[2]] : target}
+  }
+
+  /** The surface or the points, then the arm: after the pictures, which one draws on first. */
+  async load() {
+    const {can} = this.page.scene
+    if (can.mesh) this.mesh = unpack(await (await ask('/api/mesh')).arrayBuffer())
+    else {
+      const {points, colours} = await ask('/api/points')
+      this.points = {positions: Float32Array.from(points.flat()), colours: Uint8Array.from(colours.flat())}
+    }
+    this.changed()
+    if (!can.body) return
+    this.arm = new Arm(await ask('/api/body', {method: 'POST', body: {tab}}))
+    this.changed()
+  }
+
+  /** As large as the pictures, in their place, or small again. */
+  enlarge() {
+    const large = document.getElementById('work').classList.toggle('in-space')
+    document.getElementById('space-enlarge').setAttribute('aria-pressed', large)
   }
 
   resize() {
     this.canvas.width = this.canvas.clientWidth * devicePixelRatio
     this.canvas.height = this.canvas.clientHeight * devicePixelRatio
-    this.paint()
+    this.changed()
   }
 
-  drag(event) {
-    if (!this.grip) return
-    this.move(-(event.clientX - this.grip[0]) / 150, (event.clientY - this.grip[1]) / 150, 1)
-    this.grip = [event.clientX, event.clientY]
+  moved() {
+    this.fine = 0
+    this.changed()
+    clearTimeout(this.timer)
+    this.timer = setTimeout(() => { this.fine = 1; this.changed() }, STILL)
   }
 
-  key(event) {
-    const step = {ArrowLeft: [-0.1, 0, 1], ArrowRight: [0.1, 0, 1], ArrowUp: [0, 0.08, 1], ArrowDown: [0, -0.08, 1], '+': [0, 0, 0.9], '=': [0, 0, 0.9], '-': [0, 0, 1.1]}[event.key]
-    if (!step) return
-    event.preventDefault()
-    event.stopPropagation()
-    this.move(...step)
-  }
-
-  move(azimuth, elevation, farther) {
-    const p = this.place
-    this.place = {azimuth: p.azimuth + azimuth, elevation: Math.min(Math.max(p.elevation + elevation, -1.4), 1.5), distance: Math.min(Math.max(p.distance * farther, 0.02), 100)}
-    this.paint()
-  }
+  /** What stands still looks different now. */
+  changed() { this.kept = false; this.paint() }
 
   paint() { this.asked ??= requestAnimationFrame(() => { this.asked = null; this.paintNow() }) }
 
+  /** The camera for a picture of some size. */
+  camera(width, height) {
+    const f = 0.95 * Math.min(width, 1.4 * height)
+    return this.table.camera({K: [[f, 0, width / 2], [0, f, height / 2], [0, 0, 1]], width, height})
+  }
+
   paintNow() {
-    const {canvas, page} = this, g = canvas.getContext('2d'), r = devicePixelRatio
-    const {width, height} = canvas, f = 0.95 * Math.min(width, 1.4 * height)
-    if (!width) return
-    const camera = orbiting({K: [[f, 0, width / 2], [0, f, height / 2], [0, 0, 1]], width, height}, this.target, this.place)
+    const {canvas, page} = this, {width, height} = canvas
+    if (!width || !height) return
+    this.paintSurfaces()
+    const g = canvas.getContext('2d'), r = devicePixelRatio, camera = this.camera(width, height)
     g.clearRect(0, 0, width, height)
-    g.globalAlpha = 0.85
-    for (const [point, colour] of this.points) {
-      const here = project(camera, point)
-      if (here) { g.fillStyle = colour; g.fillRect(here[0], here[1], 2 * r, 2 * r) }
-    }
-    g.globalAlpha = 1
+    g.imageSmoothingQuality = 'high'
+    g.drawImage(this.picture, 0, 0, width, height)
+    this.share = this.raster.width / width
+    const {motion, plan} = page, learned = motion && !page.stale
     for (const view of page.views) if (view.view) this.paintCamera(g, camera, view, r)
-    const {motion, plan} = page
-    if (motion && !page.stale) {
-      for (const edge of motion.regions) this.polyline(g, camera, edge, '#ff4d4d', 1.2 * r)
+    if (learned) {
+      for (const region of motion.regions) for (const edge of region.edges) this.line(g, camera, edge, '#e0283a', r, 0.35)
       for (const way of motion.ways) {
-        g.globalAlpha = 0.45
-        for (const sample of way.samples) this.timed(g, camera, sample, motion.times, r)
-        g.globalAlpha = 1
-        this.timed(g, camera, way.mean, motion.times, 3 * r)
+        for (const sample of way.samples) this.timed(g, camera, sample, motion.times, r, 0.4)
+        this.timed(g, camera, way.mean, motion.times, 3.5 * r, 1)
       }
     }
     if (plan) plan.tip.forEach((p, i) => {
-      if (i) this.polyline(g, camera, [plan.tip[i - 1], p], plan.touches[i] || plan.strays[i] ? '#ff2d3d' : '#4be3a0', (plan.touches[i] || plan.strays[i] ? 4 : 1.5) * r)
+      const bad = plan.touches[i] || plan.strays[i]
+      if (i) this.line(g, camera, [plan.tip[i - 1], p], bad ? '#ff2d3d' : '#12b878', (bad ? 4.5 : 2) * r)
     })
-    if (motion && !page.stale) {
-      const here = project(camera, at(motion.ways[0].mean, motion.times, page.time))
-      if (here) { g.beginPath(); g.arc(...here, 5 * r, 0, 7); g.fillStyle = timeColour(page.time); g.fill(); g.lineWidth = 2 * r; g.strokeStyle = '#fff'; g.stroke() }
+    if (learned || plan) this.paintMoment(g, camera, r)
+  }
+
+  paintSurfaces() {
+    const {canvas, page} = this, most = Math.sqrt(FINEST / (canvas.width * canvas.height)), share = this.fine ? Math.min(2, most, 3 / devicePixelRatio) : Math.min(1, 1 / devicePixelRatio)
+    const width = Math.max(2, Math.round(canvas.width * share)), height = Math.max(2, Math.round(canvas.height * share)), camera = this.camera(width, height)
+    if (this.raster?.width !== width || this.raster.height !== height) {
+      this.raster = new Raster(width, height)
+      Object.assign(this.picture, {width, height})
+      this.kept = false
     }
+    const {raster} = this
+    if (!this.kept) {
+      raster.clear()
+      if (this.mesh) raster.solid(camera, this.mesh, {lit: 0.35})
+      if (this.points) raster.points(camera, this.points.positions, this.points.colours, 2 * devicePixelRatio * share)
+      raster.keep()
+      this.kept = true
+    } else raster.restore()
+    this.arm?.draw(raster, camera, page.plan ? posesAt(page.plan, page.clock.time) : this.arm.home)
+    const regions = page.motion && !page.stale ? page.motion.regions : []
+    for (const region of regions) raster.veil(camera, region.solids ??= region.pieces.map(solidOf), [255, 59, 72], 0.3)
+    this.picture.getContext('2d').putImageData(raster.image, 0, 0)
   }
 
-  paintCamera(g, camera, {view, number}, r) {
-    const {camera: c} = view, far = 0.12 * this.place.distance
-    const corners = [[0, 0], [c.width, 0], [c.width, c.height], [0, c.height]].map(p => add(centre(c), ray(c, p), far))
-    const colour = getComputedStyle(this.canvas).color
-    for (let i = 0; i < 4; i++) this.polyline(g, camera, [centre(c), corners[i], corners[(i + 1) % 4]], colour, r)
-    const here = project(camera, centre(c))
-    if (here) { g.fillStyle = colour; g.font = `600 ${12 * r}px system-ui, sans-serif`; g.fillText(number + 1, here[0] + 5 * r, here[1] - 5 * r) }
-  }
-
-  polyline(g, camera, points, colour, width) {
-    const seen = points.map(p => project(camera, p))
-    if (seen.some(p => !p)) return
+  /** Where the tip is now, and how the hand is held. */
+  paintMoment(g, camera, r) {
+    const {page} = this, point = page.moment(), here = project(camera, point)
+    if (!here) return
+    if (page.motion?.axis) {
+      const from = add(point, page.motion.axis, -0.07 * this.table.place.distance), back = project(camera, from)
+      this.line(g, camera, [from, point], ARROW, 3.5 * r)
+      if (back) paintHead(g, back, here, 12 * r, ARROW)
+    }
     g.beginPath()
-    seen.forEach((p, i) => i ? g.lineTo(...p) : g.moveTo(...p))
-    g.lineWidth = width
-    g.strokeStyle = colour
+    g.arc(...here, 5 * r, 0, 7)
+    g.fillStyle = timeColour(page.clock.time)
+    g.fill()
+    g.lineWidth = 2 * r
+    g.strokeStyle = '#fff'
     g.stroke()
   }
 
-  timed(g, camera, points, times, width) {
-    for (let i = 1; i < points.length; i++) this.polyline(g, camera, [points[i - 1], points[i]], timeColour(times[i]), width)
+  paintCamera(g, camera, {view, number}, r) {
+    const {camera: c} = view, far = 0.1 * this.table.place.distance, colour = getComputedStyle(this.canvas).color
+    const corners = [[0, 0], [c.width, 0], [c.width, c.height], [0, c.height]].map(p => add(centre(c), ray(c, p), far))
+    for (let i = 0; i < 4; i++) {
+      this.line(g, camera, [centre(c), corners[i]], colour, r)
+      this.line(g, camera, [corners[i], corners[(i + 1) % 4]], colour, r)
+    }
+    const here = project(camera, centre(c))
+    if (here) { g.fillStyle = colour; g.font = `600 ${12 * r}px system-ui, sans-serif`; g.fillText(number + 1, here[0] + 6 * r, here[1] - 6 * r) }
+  }
+
+  /** A line between two points of the world, dim where a surface hides it. */
+  line(g, camera, [a, b], colour, width, alpha = 1) {
+    const p = project(camera, a), q = project(camera, b)
+    if (!p || !q) return
+    const parts = Math.min(24, Math.ceil(Math.hypot(q[0] - p[0], q[1] - p[1]) / (12 * devicePixelRatio)))
+    g.lineWidth = width
+    g.lineCap = 'round'
+    g.strokeStyle = colour
+    const point = s => add(a, add(b, a, -1), s), place = s => project(camera, point(s))
+    for (let i = 0; i < parts; i++) {
+      const middle = place((i + 0.5) / parts), hidden = this.raster.hides([middle[0] * this.share, middle[1] * this.share], depth(camera, point((i + 0.5) / parts)))
+      g.globalAlpha = alpha * (hidden ? 0.25 : 1)
+      g.beginPath()
+      g.moveTo(...place(i / parts))
+      g.lineTo(...place((i + 1) / parts))
+      g.stroke()
+    }
+    g.globalAlpha = 1
+  }
+
+  timed(g, camera, points, times, width, alpha) {
+    for (let i = 1; i < points.length; i++) this.line(g, camera, [points[i - 1], points[i]], timeColour(times[i]), width, alpha)
   }
 }
+
+const solidOf = ({vertices, faces}) => ({positions: Float32Array.from(vertices.flat()), faces: Uint32Array.from(faces.flat())})

@@ -25,7 +25,7 @@ export class Work {
     const advice = this.page.advice()
     if (advice) { this.page.motion = null; this.tellAll(advice) }
     else if (this.page.scene.can.fit) this.timer = setTimeout(() => this.fit(), DELAY)
-    this.page.setTime(this.page.time)
+    this.page.setTime(this.page.clock.time)
     this.page.refreshCommands?.()
     this.space()
   }
@@ -35,7 +35,7 @@ export class Work {
   async fit() {
     const {page} = this, {saver} = page
     await saver.running
-    if (saver.state !== 'saved' || page.views.some(v => v.line)) return
+    if (saver.state !== 'saved' || page.views.some(v => v.pen.line)) return
     const began = performance.now()
     const learned = await this.do('fit', 'Learning the motion')
     if (!learned) return
@@ -44,7 +44,7 @@ export class Work {
     this.seconds = (performance.now() - began) / 1000
     this.tellAll(learned.sentence, learned.warnings)
     this.redrawOffered()
-    page.setTime(page.time)
+    page.setTime(page.clock.time)
     page.refreshCommands()
     page.paint()
     this.space()
@@ -85,7 +85,9 @@ export class Work {
   tellAll(text, warnings = [], mood = '') {
     find('sentence').textContent = text
     find('sentence').dataset.mood = mood
-    find('warnings').replaceChildren(...warnings.map(w => Object.assign(document.createElement('li'), {textContent: w})))
+    const list = find('warnings')
+    list.replaceChildren(...warnings.map(w => Object.assign(document.createElement('li'), {textContent: w})))
+    list.tabIndex = list.scrollHeight > list.clientHeight ? 0 : -1 // what has to be scrolled can be by keys
     find('redraw').hidden = true
     find('verdict').hidden = true
   }
@@ -101,7 +103,7 @@ export class Work {
     const {page} = this, weak = page.motion?.weakest
     if (!weak) return page.say('Every part of the motion is known about equally well.')
     let view = page.views.find(v => v.name === weak.view)
-    if (!view) { view = page.focused; await view.show(page.allViews.find(v => v.name === weak.view)) }
+    if (!view) { view = page.focused; await view.show(page.pictures.named(weak.view)) }
     page.setTool('draw')
     page.setTime((weak.from + weak.to) / 2)
     page.focus(view)
@@ -122,10 +124,10 @@ export class Work {
     verdict.textContent = plan.feasible
       ? `The arm can do it: ${plan.duration.toFixed(1)} s, never nearer than ${Math.max(plan.least_mm, 0).toFixed(0)} mm to anything.`
       : `The arm cannot do it: ${plan.sentence}.`
-    page.say(verdict.textContent)
+    page.say(plan.feasible ? 'Press play: the arm shows it, in space and on the pictures.' : 'Where it goes wrong is red.')
+    page.setTime(page.clock.time)
     page.refreshCommands()
     page.paint()
-    this.space()
   }
 
   async perform() {
@@ -146,7 +148,7 @@ export class Work {
     await page.saver.running
     try {
       await ask(`${skillPath(page.name)}/done`, {method: 'POST', body: {tab}})
-      page.closeLive()
+      page.skills.closeLive()
       find('farewell').showModal()
     } catch (error) { page.say(sentence(unknown(error))) }
   }
