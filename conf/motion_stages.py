@@ -14,11 +14,9 @@ from conf.stages import Job, setting, write_json
 
 log = logging.getLogger("scene2skill")
 
-DRAWN_ON = ("view1", "view2", "view3")
-
 
 def sketch(job: Job, out: Path) -> dict:
-    """A person, or the scripted one, draws the motion on two views, or one along a surface; on a third for evaluation only."""
+    """A person, or the scripted one, draws the motion on two views or more, or one along a surface; on another for evaluation only."""
     import numpy as np
 
     from teach import sketch as sketch_files
@@ -33,13 +31,12 @@ def sketch(job: Job, out: Path) -> dict:
         held_out, intended = [], {}
         log.info("  the skill %s", name)
     else:
-        from conf.seen import draw
+        from conf.seen import draw, roles
 
-        judge = job.cfg.user.held_out
-        if judge not in DRAWN_ON:
-            raise ValueError(f"user.held_out={judge}: the views to sketch on are {', '.join(DRAWN_ON)}")
-        drawn, paths = draw(job, [*(name for name in DRAWN_ON if name != judge), judge])
-        sketches, held_out, intended = drawn[:-1], drawn[-1:], {"training": paths[:-1], "held_out": paths[-1]}
+        teaching, judging = roles(list(job.cfg.user.views), job.cfg.user.held_out)
+        drawn, paths, meant = draw(job, [*teaching, *judging])
+        sketches, held_out = drawn[: len(teaching)], drawn[len(teaching) :]
+        intended = {"training": paths[: len(teaching)], "meant": meant}
     sketch_files.check(sketches, surfaces=_depths(job, sketches))
     sketch_files.save(out / "sketches.json", sketches)
     sketch_files.save(out / "held_out.json", held_out)
