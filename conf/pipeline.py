@@ -114,7 +114,8 @@ def _wanted(job: Job) -> list[str]:
 def _metrics(records: dict[str, Record]) -> dict:
     """metrics.json: one group for each stage; total_seconds is what all of them cost, when they were done."""
     groups = {"train": "field", "fit": "teach"}
-    metrics = {groups.get(name, name): {"seconds": r.seconds} | r.metrics for name, r in records.items()}
+    memory = lambda record: {} if record.peak_mb is None else {"peak_mb": record.peak_mb}
+    metrics = {groups.get(name, name): {"seconds": r.seconds} | memory(r) | r.metrics for name, r in records.items()}
     return metrics | {"total_seconds": sum(record.seconds for record in records.values())}
 
 
