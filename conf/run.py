@@ -8,7 +8,6 @@ import subprocess
 import sys
 import time
 import traceback
-from concurrent.futures.process import BrokenProcessPool
 from importlib.metadata import version
 from pathlib import Path
 
@@ -21,7 +20,7 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from conf import rerun
-from conf.mistakes import explained
+from conf.mistakes import check_launcher, explained, was_killed
 from conf.results import figures_of
 from conf.stages import Job, write_json
 from conf.sweep import Sweep, is_finished, settings_key
@@ -52,6 +51,7 @@ def launch(task, *overrides: str) -> int:
     sys.argv[1:1] = overrides
     sweep = None
     try:
+        check_launcher(sys.argv[1:])
         sys.argv[1:] = rerun.expanded(sys.argv[1:])
         sweep = Sweep.begin(sys.argv[1:], lambda: _git("rev-parse", "HEAD"))
         if sweep is not None:
@@ -62,7 +62,9 @@ def launch(task, *overrides: str) -> int:
         return 130
     except USER_ERRORS as error:
         return _report(error)
-    except BrokenProcessPool:
+    except Exception as error:
+        if not was_killed(error):
+            raise
         return _report(MemoryError("the process of a job was killed, perhaps for want of memory; the same command goes on from there"))
     finally:
         failed = sweep.end() if sweep is not None else 0
