@@ -26,12 +26,12 @@ def camera_errors(views, truth: dict | None) -> dict:
 
 
 def field_errors(field, held_out, folder: Path, world_spec: dict | None) -> dict:
-    """PSNR [dB] on held-out views, seconds for one view, and, in a simulated world, the median depth error [mm].
+    """PSNR [dB] and SSIM on held-out views, seconds for one view, and, in a simulated world, the median depth error [mm].
 
     The rendered pictures are kept in ``folder`` for the report.
     """
     from scene.dataset import save_image
-    from scene.volume import psnr
+    from scene.volume import psnr, ssim
 
     folder.mkdir(exist_ok=True)
     started = time.perf_counter()
@@ -42,6 +42,7 @@ def field_errors(field, held_out, folder: Path, world_spec: dict | None) -> dict
         np.save(folder / f"{view.name}_depth.npy", depth)
     errors = {
         "psnr": float(np.mean([psnr(image, view.image) for view, (image, _) in zip(held_out, rendered, strict=True)])),
+        "ssim": float(np.mean([ssim(image, view.image) for view, (image, _) in zip(held_out, rendered, strict=True)])),
         "render_seconds": seconds,
     }
     if world_spec is not None:

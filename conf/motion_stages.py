@@ -31,9 +31,9 @@ def sketch(job: Job, out: Path) -> dict:
         held_out, intended = [], {}
         log.info("  the skill %s", name)
     else:
-        from conf.seen import draw, roles
+        from conf.seen import draw, drawn_on, roles
 
-        teaching, judging = roles(list(job.cfg.user.views), job.cfg.user.held_out)
+        teaching, judging = roles(drawn_on(job), job.cfg.user.held_out)
         drawn, paths, meant = draw(job, [*teaching, *judging])
         sketches, held_out = drawn[: len(teaching)], drawn[len(teaching) :]
         intended = {"training": paths[: len(teaching)], "meant": meant}
@@ -85,8 +85,9 @@ def plan(job: Job, out: Path) -> dict:
 
     skill = Skill.load(job.run / "skill.npz")
     arm = setting(job, "robot.arm")
-    with World.from_spec(_obstacles(job, skill, arm)) as world:
-        chosen = setting(job, "robot.planner")(skill, arm, world.obstacles, start=arm.home, seed=job.cfg.seed)
+    start = setting(job, "robot.start")(arm, seed=job.cfg.seed)
+    with World.from_spec(_obstacles(job, skill, arm, start)) as world:
+        chosen = setting(job, "robot.planner")(skill, arm, world.obstacles, start=start, seed=job.cfg.seed)
     chosen.save(out / "plan.npz")
     write_json(out / "joint_trajectory.json", chosen.joint_trajectory())
     save_mcap(chosen, out / "plan.mcap")
@@ -103,7 +104,7 @@ def plan(job: Job, out: Path) -> dict:
     }
 
 
-def _obstacles(job: Job, skill, arm) -> dict:
+def _obstacles(job: Job, skill, arm, start) -> dict:
     """The world that planning knows: the world's file, or what the photographs show."""
     if not job.settings("robot.obstacles"):
         if job.cfg.photos:
@@ -114,10 +115,9 @@ def _obstacles(job: Job, skill, arm) -> dict:
     from robot.obstacles import on_the_arm
     from scene.space import Space
 
-    start = arm.fk(arm.home)[:3, 3]
-    paths = [way.distribution.mean_at(np.linspace(0, 1, 100)) for way in skill.starting_at(start)]
+    paths = [way.distribution.mean_at(np.linspace(0, 1, 100)) for way in skill.starting_at(arm.fk(start)[:3, 3])]
     space = Space.load(job.capture / "space.npz")
-    spec = setting(job, "robot.obstacles")(job.capture, space, np.concatenate(paths), on_the_arm(arm, arm.home))
+    spec = setting(job, "robot.obstacles")(job.capture, space, np.concatenate(paths), on_the_arm(arm, start))
     unseen = sum(thing["shape"] == "box" for thing in spec["objects"])
     log.info("  among %d pieces of the mesh and %d boxes of unseen space", len(spec["objects"]) - unseen, unseen)
     return spec

@@ -18,9 +18,10 @@ from conf.stages import Job, Record, Stage, progress, write_json
 log = logging.getLogger("scene2skill")
 
 SCENE = ("scene.seed",)
+PHOTOGRAPHED = tuple(f"world.{key}" for key in ("name", "seed", "variation", "objects", "joints", "held", "tags", "view", "goal"))
 VIEWED = ("world.sketch_views", "world.seed", "world.variation", "world.view")
 STAGES = (
-    Stage("capture", scene_stages.capture, ("photos", "tags.json", "truth.json"), settings=("world", "robot.photographs", *SCENE), shared=True),
+    Stage("capture", scene_stages.capture, ("photos", "tags.json", "truth.json"), settings=(*PHOTOGRAPHED, "robot.photographs", *SCENE), shared=True),
     Stage("reconstruct", scene_stages.reconstruct, ("images", "colmap", "sparse.ply", "transforms.json"),
           settings=("scene.colmap", "scene.frame", "scene.resection", *SCENE), inputs=scene_stages.fingerprint, shared=True),
     Stage("train", scene_stages.train, ("field.pt", "held_out"), ("reconstruct",), ("scene.fit", *SCENE), shared=True, resumable=True),
@@ -32,7 +33,7 @@ STAGES = (
           inputs=motion_stages.asked),
     Stage("fit", motion_stages.fit, ("skill.npz", "densities.npz"), ("sketch",), ("teach", "seed")),
     Stage("plan", motion_stages.plan, ("plan.npz", "trajectory.csv", "joint_trajectory.json", "plan.mcap"), ("fit",),
-          ("robot.arm", "robot.planner", "robot.obstacles", "world", "seed"), inputs=motion_stages.pieces),
+          ("robot.arm", "robot.start", "robot.planner", "robot.obstacles", "world", "seed"), inputs=motion_stages.pieces),
     Stage("execute", motion_stages.execute, ("execution.npz", "execution.mp4", "filmstrip.png"), ("plan",), ("robot.arm", "robot.execution", "world")),
 )  # fmt: skip
 NAMES = tuple(stage.name for stage in STAGES)
@@ -78,7 +79,7 @@ def _do(stage: Stage, job: Job, records: dict[str, Record]) -> None:
 
 def _needs(stage: Stage, job: Job) -> tuple[str, ...]:
     """The stages whose files a stage reads: no field is needed to sketch on photographs."""
-    on_photographs = stage.name == "sketch" and job.cfg.user.kind == "files" and job.cfg.user.draws_on == "photographs"
+    on_photographs = stage.name == "sketch" and job.cfg.user.get("draws_on") == "photographs"
     return ("reconstruct",) if on_photographs else stage.needs
 
 

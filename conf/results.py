@@ -8,11 +8,15 @@ signed-rank test. How an experiment is read stands in its YAML:
     over      settings that repeat a configuration
     columns   name in the table: [path in metrics.json, factor]
     rows      name of a method: prefix of the metric, for methods that a job measures beside its own (oracle_, linear_)
+    across    settings whose values stand side by side in the short form of the table (short.py)
+    published name of a row: {value of ``across``: text}, what others reported
+    pictures  of a job's figures/, shown in the sweep's page
+    growth    true: figures over a setting of numbers are fitted by a power of it (growth.py)
 """
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
@@ -51,6 +55,10 @@ class Results:
     over: tuple[str, ...]
     columns: dict[str, tuple[str, float]]
     methods: dict[str, str]
+    across: tuple[str, ...] = ()
+    published: dict[str, dict[str, str]] = field(default_factory=dict)
+    growth: bool = False
+    pictures: tuple[str, ...] = ("overview",)
 
     @property
     def missing(self) -> list[JobResult]:
@@ -69,7 +77,7 @@ class Results:
         for job in self.jobs:
             for method, prefix in (self.methods or {"": ""}).items():
                 settings = tuple((key, job.settings.get(key, "")) for key in configured) + ((("method", method),) if method else ())
-                figures = [factor * job.figures.get(_variant(path, prefix), np.nan) for path, factor in self.columns.values()]
+                figures = [factor * job.figures.get(variant(path, prefix), np.nan) for path, factor in self.columns.values()]
                 if job.state == "finished" and not np.isnan(figures).all():
                     groups.setdefault(settings, []).append((figures, job.sketches))
         return [Row(dict(settings), np.array([f for f, _ in found]), tuple(s for _, s in found)) for settings, found in groups.items()]
@@ -93,8 +101,15 @@ def collect(folders: Sequence[Path]) -> Results:
     if not specs:
         raise ValueError(f"no job of a sweep lies in {', '.join(map(str, folders))}: give runs/<experiment>/<time>")
     measured = {path for job in jobs for path in job.figures}
-    columns = {name: (path, float(factor)) for name, (path, factor) in specs[0]["columns"].items() if path in measured}
-    return Results(jobs, tuple(specs[0]["over"]), columns, specs[0]["rows"])
+    return read_by(specs[0], jobs, measured)
+
+
+def read_by(spec: dict, jobs: tuple[JobResult, ...], measured: set[str]) -> Results:
+    """The jobs as an experiment's ``spec`` says, with the columns of which something is measured."""
+    columns = {name: (path, float(factor)) for name, (path, factor) in spec["columns"].items() if path in measured}
+    more = {"across": tuple(spec.get("across", ())), "published": spec.get("published", {}), "growth": spec.get("growth", False),
+            "pictures": tuple(spec.get("pictures", ["overview"]))}  # fmt: skip
+    return Results(jobs, tuple(spec["over"]), columns, spec["rows"], **more)
 
 
 def _job_folders(folders: Sequence[Path]) -> list[Path]:
@@ -214,7 +229,7 @@ def _spec(folder: Path) -> dict | None:
     return (yaml.safe_load(path.read_text()) or {}).get("experiment") if path.exists() else None
 
 
-def _variant(path: str, prefix: str) -> str:
+def variant(path: str, prefix: str) -> str:
     group, _, name = path.rpartition(".")
     return f"{group}.{prefix}{name}"
 

@@ -20,6 +20,7 @@ from scene.camera import Camera
 from scene.dataset import load_views
 from scene.views import given, numbered
 from teach import scripted
+from teach.hand import scaled
 from teach.sketch import Sketch
 
 
@@ -40,12 +41,22 @@ def roles(views: list[str], judge: str | None) -> tuple[list[str], list[str]]:
     return [name for name in views if name != judge], [name for name in views if name == judge]
 
 
+def drawn_on(job: Job) -> list[str]:
+    """Names of the views that are drawn on."""
+    photographed = job.cfg.user.draws_on == "photographs"
+    there = [f"view{i}" for i, _ in enumerate(job.settings("world.sketch_views"), start=1)] if photographed else list(_views(job))
+    names = list(job.cfg.user.views or there)
+    if unknown := [name for name in names if name not in there]:
+        raise ValueError(f"there is no {', '.join(unknown)} to draw on: user.views may have {', '.join(there)}")
+    return names
+
+
 def draw(job: Job, names: list[str]) -> tuple[list[Sketch], np.ndarray, np.ndarray]:
     """One sketch for each named view, the intended paths (views, strokes, T, 3) [m] behind its strokes, and the path (T, 3) [m]
     that all of them are attempts at.
     """
     pages = _photographed(job, names) if job.cfg.user.draws_on == "photographs" else _rendered(job, names)
-    hand = instantiate(job.cfg.user.hand)
+    hand = scaled(instantiate(job.cfg.user.hand), job.cfg.user.clumsiness)
     rng = np.random.default_rng(job.cfg.seed)
     motion = varied(job.settings("world"))["motion"]
     arm = instantiate(job.cfg.robot.arm)
@@ -61,8 +72,6 @@ def draw(job: Job, names: list[str]) -> tuple[list[Sketch], np.ndarray, np.ndarr
 
 def _rendered(job: Job, names: list[str]) -> list[Page]:
     views = _views(job)
-    if unknown := [name for name in names if name not in views]:
-        raise ValueError(f"there is no {', '.join(unknown)} to draw on: user.views may have {', '.join(views)}")
     stages.run(FLOWS, job, {})
     with np.load(job.capture / "flows.npz", allow_pickle=False) as flows:
         return [Page(n, views[n].camera, views[n].camera, flows[n]) for n in names]

@@ -194,8 +194,8 @@ def test_the_sketch_views_see_the_whole_intended_motion(name):
 
 
 def test_photographs_are_seeded_even_and_outside_of_everything(table):
-    cameras = hemisphere(table.spec["view"], seed=3)
-    again, other = hemisphere(table.spec["view"], seed=3), hemisphere(table.spec["view"], seed=4)
+    cameras = hemisphere(table.spec, seed=3)
+    again, other = hemisphere(table.spec, seed=3), hemisphere(table.spec, seed=4)
     assert len(cameras) == 48 and all(
         (a.world_from_camera == b.world_from_camera).all() for a, b in zip(cameras, again)
     )
@@ -211,7 +211,7 @@ def test_photographs_are_seeded_even_and_outside_of_everything(table):
 def test_a_world_says_from_where_it_is_photographed_unless_it_is_asked_for():
     view = {"target": [0.3, 0, 0.5], "azimuth_deg": [90, 270], "elevation_deg": [10, 20], "radius": [1, 2]}
     for asked, azimuths, elevations in (({}, (90, 270), (10, 20)), ({"azimuth_deg": [0, 30], "elevation_deg": [40, 50]}, (0, 30), (40, 50))):
-        offsets = np.array([camera.centre for camera in hemisphere(view, jitter=0, **asked)]) - view["target"]
+        offsets = np.array([camera.centre for camera in hemisphere({"view": view}, jitter=0, **asked)]) - view["target"]
         azimuth = np.degrees(np.arctan2(offsets[:, 1], offsets[:, 0])) % 360
         elevation = np.degrees(np.arcsin(offsets[:, 2] / np.linalg.norm(offsets, axis=1)))
         for angle, (low, high) in ((azimuth, azimuths), (elevation, elevations)):
