@@ -16,10 +16,13 @@ def number(rows: list[Row]) -> str | None:
 
 def exponent(x, y) -> tuple[float, float]:
     """b of y = a x^b, and the half width of its 95 % interval (Student's t; nan of two points). x, y: (n,) positive."""
-    from scipy.stats import linregress, t
+    from scipy.stats import t
 
-    fitted = linregress(np.log(x), np.log(y))
-    return float(fitted.slope), float(t.ppf(0.975, len(x) - 2) * fitted.stderr) if len(x) > 2 else np.nan
+    u, v = np.log(x) - np.log(x).mean(), np.log(y) - np.log(y).mean()
+    b = float(u @ v / (u @ u))
+    if len(u) < 3:
+        return b, np.nan
+    return b, float(t.ppf(0.975, len(u) - 2) * np.sqrt(((v - b * u) ** 2).sum() / (len(u) - 2) / (u @ u)))
 
 
 def said(results: Results) -> Iterable[str]:
@@ -29,7 +32,7 @@ def said(results: Results) -> Iterable[str]:
         return
     for column, name in enumerate(results.columns):
         pairs = np.array([(float(row.settings[key]), value) for row in results.rows for value in row.values[:, column]])
-        pairs = pairs[(pairs > 0).all(axis=1)]  # nan is not
+        pairs = pairs[((pairs > 0) & np.isfinite(pairs)).all(axis=1)]
         if len(set(pairs[:, 0])) > 2:
             b, half = exponent(*pairs.T)
             (x, y), (far, most) = pairs[pairs[:, 0].argmin()], pairs[pairs[:, 0].argmax()]

@@ -78,6 +78,7 @@ class Results:
             for method, prefix in (self.methods or {"": ""}).items():
                 settings = tuple((key, job.settings.get(key, "")) for key in configured) + ((("method", method),) if method else ())
                 figures = [factor * job.figures.get(variant(path, prefix), np.nan) for path, factor in self.columns.values()]
+                figures = [value if np.isfinite(value) else np.nan for value in figures]
                 if job.state == "finished" and not np.isnan(figures).all():
                     groups.setdefault(settings, []).append((figures, job.sketches))
         return [Row(dict(settings), np.array([f for f, _ in found]), tuple(s for _, s in found)) for settings, found in groups.items()]
@@ -91,7 +92,7 @@ class Results:
         codes = {job.code for job in self.jobs}
         notes += [f"These jobs ran {len(codes)} versions of the code: {', '.join(sorted(str(c)[:10] for c in codes))}."] if len(codes) > 1 else []
         holes = {name: sum(int(np.isnan(row.values[:, i]).sum()) for row in self.rows) for i, name in enumerate(self.columns)}
-        return notes + [f"{name}: {count} jobs have no figure and are left out." for name, count in holes.items() if count]
+        return notes + [f"{name}: {count} jobs have no figure, or not a finite one, and are left out." for name, count in holes.items() if count]
 
 
 def collect(folders: Sequence[Path]) -> Results:
@@ -132,6 +133,8 @@ def figures_of(run: Path) -> dict[str, float]:
             elif isinstance(value, (int, float)):
                 yield f"{above}{key}", float(value)
 
+    if not isinstance(metrics, dict):
+        raise ValueError(f"{path} holds no figures: it is not what a job writes")
     return dict(flat(metrics, ""))
 
 
@@ -211,13 +214,17 @@ def _job(folder: Path) -> JobResult:
     import yaml
 
     status = read_json(folder / "status.json", f"no job lies in {folder}")
+    if not isinstance(status, dict) or "state" not in status:
+        raise ValueError(f"{folder / 'status.json'} is no job's: give runs/<experiment>/<time>")
     overrides = folder / ".hydra" / "overrides.yaml"
-    pairs = [line.partition("=") for line in (yaml.safe_load(overrides.read_text()) or [])] if overrides.exists() else []
+    lines = yaml.safe_load(overrides.read_text()) if overrides.exists() else None
+    pairs = [str(line).partition("=") for line in (lines if isinstance(lines, list) else [])]
     sketches = folder / "sketches.json"
-    state = "did not come to its end" if status["state"] == "running" else status["state"]
+    running = status["state"] == "running"
     return JobResult(
-        folder, state, status.get("error", "stopped"), {key.lstrip("+~"): value for key, _, value in pairs}, figures_of(folder),
-        code_of(folder),
+        folder, "did not come to its end" if running else status["state"],
+        status.get("error", "killed, perhaps for want of memory, or still running" if running else "stopped"),
+        {key.lstrip("+~"): value for key, _, value in pairs}, figures_of(folder), code_of(folder),
         hashlib.sha256(sketches.read_bytes()).hexdigest() if sketches.exists() else None,
     )  # fmt: skip
 

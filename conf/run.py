@@ -22,7 +22,7 @@ from omegaconf.errors import OmegaConfBaseException
 from conf import rerun
 from conf.mistakes import check_launcher, explained, was_killed
 from conf.results import figures_of
-from conf.stages import Job, write_json
+from conf.stages import Job, status_of, write_json
 from conf.sweep import Sweep, is_finished, settings_key
 from scene.inputs import scene_name
 
@@ -92,6 +92,8 @@ def _run_job(task, cfg: DictConfig):
         if is_finished(run_folder, settings):
             log.info("  finished earlier")
             return _objective(job)
+        if status_of(run_folder).get("state") == "running":
+            log.warning("  was killed when it ran last, perhaps for want of memory: once more")
     status = {"state": "running", "capture": str(job.capture), "settings": settings, "started": time.strftime("%Y-%m-%dT%H:%M:%S")}
     write_json(run_folder / "status.json", status)
     write_json(run_folder / "provenance.json", provenance())

@@ -76,7 +76,7 @@ def test_a_killed_sweep_goes_on_with_what_is_missing(launch, tmp_path):
     (tmp_path / "kill2").unlink()
     result = launch("-m", "seed=0,1,2,3")
     assert result.returncode == 0 and "going on with" in result.stdout
-    assert began(tmp_path) == ["0", "1", "2", "2", "3"]
+    assert "was killed when it ran last" in result.stdout and began(tmp_path) == ["0", "1", "2", "2", "3"]
     (sweep,) = sweeps(tmp_path)
     assert "4 of 4 jobs finished" in (sweep / "table.md").read_text()
 
@@ -164,6 +164,15 @@ def test_figures_go_to_tensorboard(launch, tmp_path):
     events = EventAccumulator(str(folder))
     events.Reload()
     assert events.Scalars("teach.mfd")[0].value == pytest.approx(0.025)
+
+
+def test_figures_go_to_mlflow(launch, tmp_path):
+    mlflow = pytest.importorskip("mlflow")
+    result = launch("seed=3", "tracking=mlflow")
+    assert result.returncode == 0, result.stderr
+    client = mlflow.MlflowClient(f"sqlite:///{tmp_path}/runs/mlflow.db")
+    (run,) = client.search_runs([experiment.experiment_id for experiment in client.search_experiments()])
+    assert run.info.status == "FINISHED" and run.data.metrics["teach.mfd"] == pytest.approx(0.025) and run.data.params["seed"] == "3"
 
 
 def test_a_tracker_that_is_not_installed_is_said_before_the_job(launch, tmp_path):

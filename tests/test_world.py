@@ -12,7 +12,7 @@ import yaml
 
 from robot import thing as things
 from robot import worldfile
-from robot.photographs import hemisphere
+from robot.photographs import hemisphere, sketch_views
 from robot.shapes import body_pieces
 from robot.standing import free
 from robot.variation import pre_grasp, varied
@@ -206,6 +206,15 @@ def test_photographs_are_seeded_even_and_outside_of_everything(table):
     for thing in table.spec["objects"]:
         low, high = table.client.getAABB(table.bodies[thing["name"]])
         assert not any(((c.centre > np.subtract(low, 0.05)) & (c.centre < np.add(high, 0.05))).all() for c in cameras)
+
+
+def test_photographs_to_sketch_on_are_the_world_s_views_but_for_the_hand(table):
+    cameras = sketch_views(table.spec, seed=3, jitter=0.02)
+    assert len(cameras) == 2 and all((camera.width, camera.height) == (1280, 960) for camera in cameras)
+    off = [np.linalg.norm(camera.centre - view["eye"]) for camera, view in zip(cameras, table.spec["sketch_views"])]
+    assert 0 < max(off) < 0.1
+    with pytest.raises(ValueError, match="has 3 sketch views"):
+        sketch_views(table.spec, count=4)
 
 
 def test_a_world_says_from_where_it_is_photographed_unless_it_is_asked_for():
