@@ -101,12 +101,16 @@ def _views(job: Job) -> dict:
 
 
 def _photographed(job: Job, names: list[str]) -> list[Page]:
-    """The photographs taken nearest to the views of those names."""
+    """The photographs taken nearest to the views of those names, each once."""
     true = json.loads((job.capture / "truth.json").read_text())["cameras"]
     taken = {view.name: view.camera for view in load_views(job.capture) if view.name in true}
     eyes = numbered(given(varied(job.settings("world"))["sketch_views"]))
     pages = []
     for name in names:
-        nearest = min(taken, key=lambda photo: np.linalg.norm(taken[photo].centre - eyes[name].centre))
-        pages.append(Page(name, taken[nearest], Camera(**true[nearest]), None))
+        left = [photo for photo in taken if photo not in [page.name for page in pages]]
+        if not left:
+            raise ValueError(f"{len(names)} views are to be drawn on, and there are {len(taken)} photographs: set user.views")
+        nearest = min(left, key=lambda photo: np.linalg.norm(taken[photo].centre - eyes[name].centre))
+        camera = taken[nearest]
+        pages.append(Page(nearest, camera, Camera(**true[nearest]).resized(camera.width, camera.height), None))
     return pages
