@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from conf import growth
+from conf import growth, short
 from conf.report import STYLE
 from conf.results import JobResult, Results, cells, comparisons, interval, markdown
 from scene.files import replacing
@@ -47,8 +47,9 @@ def write(results: Results, folder: Path) -> Path:
 
 
 def table_of(results: Results) -> str:
-    """The table, its notes, and how its figures grow."""
-    return markdown(results) + "".join(f"- {sentence}\n" for sentence in growth.said(results))
+    """The table, in its short form first where it has one, its notes, and how its figures grow."""
+    side_by_side = f"{short.markdown(results)}\n\n" if results.across and results.rows else ""
+    return side_by_side + markdown(results) + "".join(f"- {sentence}\n" for sentence in growth.said(results))
 
 
 def _page(results: Results, folder: Path) -> str:

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 import traceback
+from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 
@@ -148,9 +149,13 @@ def capture_folder(cfg: DictConfig) -> Path:
     if cfg.data:
         return Path(cfg.data).resolve()
     name = scene_name(cfg.photos) if cfg.photos else cfg.world.name
-    shipped = hydra.compose("config", overrides=[f"world={HydraConfig.get().runtime.choices.world}"])
     key = _scene_key(cfg)
-    return Path("data", name if key == _scene_key(shipped) else f"{name}-{key:08x}").resolve()
+    return Path("data", name if key == _shipped_key(HydraConfig.get().runtime.choices.world) else f"{name}-{key:08x}").resolve()
+
+
+@cache
+def _shipped_key(world: str) -> int:
+    return _scene_key(hydra.compose("config", overrides=[f"world={world}"]))
 
 
 def _scene_key(cfg: DictConfig) -> int:
@@ -175,7 +180,9 @@ def provenance() -> dict:
     }
 
 
+@cache
 def _git(*arguments: str) -> str | None:
+    """What git says of the code as this process loaded it: asked once."""
     root = Path(__file__).parents[1]
     if not (root / ".git").exists():
         return None
