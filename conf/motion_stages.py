@@ -85,9 +85,8 @@ def plan(job: Job, out: Path) -> dict:
 
     skill = Skill.load(job.run / "skill.npz")
     arm = setting(job, "robot.arm")
-    start = setting(job, "robot.start")(arm, seed=job.cfg.seed)
-    with World.from_spec(_obstacles(job, skill, arm, start)) as world:
-        chosen = setting(job, "robot.planner")(skill, arm, world.obstacles, start=start, seed=job.cfg.seed)
+    with World.from_spec(_obstacles(job, skill, arm)) as world:
+        chosen = setting(job, "robot.planner")(skill, arm, world.obstacles, start=arm.home, seed=job.cfg.seed)
     chosen.save(out / "plan.npz")
     write_json(out / "joint_trajectory.json", chosen.joint_trajectory())
     save_mcap(chosen, out / "plan.mcap")
@@ -104,7 +103,7 @@ def plan(job: Job, out: Path) -> dict:
     }
 
 
-def _obstacles(job: Job, skill, arm, start) -> dict:
+def _obstacles(job: Job, skill, arm) -> dict:
     """The world that planning knows: the world's file, or what the photographs show."""
     if not job.settings("robot.obstacles"):
         if job.cfg.photos:
@@ -115,9 +114,10 @@ def _obstacles(job: Job, skill, arm, start) -> dict:
     from robot.obstacles import on_the_arm
     from scene.space import Space
 
-    paths = [way.distribution.mean_at(np.linspace(0, 1, 100)) for way in skill.starting_at(arm.fk(start)[:3, 3])]
+    start = arm.fk(arm.home)[:3, 3]
+    paths = [way.distribution.mean_at(np.linspace(0, 1, 100)) for way in skill.starting_at(start)]
     space = Space.load(job.capture / "space.npz")
-    spec = setting(job, "robot.obstacles")(job.capture, space, np.concatenate(paths), on_the_arm(arm, start))
+    spec = setting(job, "robot.obstacles")(job.capture, space, np.concatenate(paths), on_the_arm(arm, arm.home))
     unseen = sum(thing["shape"] == "box" for thing in spec["objects"])
     log.info("  among %d pieces of the mesh and %d boxes of unseen space", len(spec["objects"]) - unseen, unseen)
     return spec

@@ -33,7 +33,7 @@ STAGES = (
           inputs=motion_stages.asked),
     Stage("fit", motion_stages.fit, ("skill.npz", "densities.npz"), ("sketch",), ("teach", "seed")),
     Stage("plan", motion_stages.plan, ("plan.npz", "trajectory.csv", "joint_trajectory.json", "plan.mcap"), ("fit",),
-          ("robot.arm", "robot.start", "robot.planner", "robot.obstacles", "world", "seed"), inputs=motion_stages.pieces),
+          ("robot.arm", "robot.planner", "robot.obstacles", "world", "seed"), inputs=motion_stages.pieces),
     Stage("execute", motion_stages.execute, ("execution.npz", "execution.mp4", "filmstrip.png"), ("plan",), ("robot.arm", "robot.execution", "world")),
 )  # fmt: skip
 NAMES = tuple(stage.name for stage in STAGES)

@@ -34,8 +34,6 @@ def targets(node):
 def test_every_option_composes_and_every_target_takes_its_settings(config, option):
     group, name = option.split("/", 1) if option.startswith("experiment/") else option.rsplit("/", 1)
     choice = f"{group}={name}"
-    if name in ("real_robot/close_drawer", "real_robot/drop_into_box") and not (CONF / "robot/arm/aliengo_z1.yaml").exists():
-        pytest.skip("the Aliengo with a Z1 is not there yet")
     cfg = config(choice, *GIVEN.get(choice, []))
     for node in targets(OmegaConf.masked_copy(cfg, ["user", "scene", "teach", "robot", "world", "experiment", "seed"])):
         made = instantiate(node, _convert_="all")
