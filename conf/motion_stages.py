@@ -88,7 +88,8 @@ def plan(job: Job, out: Path) -> dict:
 
     skill = Skill.load(job.run / "skill.npz")
     arm = setting(job, "robot.arm")
-    with World.from_spec(_obstacles(job, skill, arm)) as world:
+    with World.from_spec(_obstacles(job, skill, arm), textured=False) as world:
+        world.bring_held(arm.fk(arm.home))
         chosen = setting(job, "robot.planner")(skill, arm, world.obstacles, start=arm.home, seed=job.cfg.seed)
     chosen.save(out / "plan.npz")
     write_json(out / "joint_trajectory.json", chosen.joint_trajectory())
@@ -123,7 +124,7 @@ def _obstacles(job: Job, skill, arm) -> dict:
     spec = setting(job, "robot.obstacles")(job.capture, space, np.concatenate(paths), on_the_arm(arm, arm.home))
     unseen = sum(thing["shape"] == "box" for thing in spec["objects"])
     log.info("  among %d pieces of the mesh and %d boxes of unseen space", len(spec["objects"]) - unseen, unseen)
-    return spec
+    return spec | ({"held": job.settings("world.held")} if job.settings("world.held") else {})
 
 
 def execute(job: Job, out: Path) -> dict:

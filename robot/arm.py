@@ -154,6 +154,12 @@ class Arm:
         return dict(zip(self.gripper.joints, self.gripper.open.tolist()))
 
     @property
+    def beside_hand(self) -> tuple[str, ...]:
+        """The links that can move against the tip: all but the hand's."""
+        rigid = self.tree.rigid_groups
+        return tuple(name for name, group in zip(self.link_names, rigid) if group != rigid[self.link_names.index(self.tip_link)])
+
+    @property
     def link_names(self) -> tuple[str, ...]:
         return tuple(self.description.links)
 

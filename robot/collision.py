@@ -48,8 +48,8 @@ class CollisionModel:
     """The arm among the bodies of a world, where they stand when this is made.
 
     arm: Arm. world: has ``client`` and ``bodies``, or None for the arm alone. regions: volumes in the world's frame
-    that the arm may not enter (teach.hull.Region); they count as bodies of the world. only: {region: names of links}, the
-    regions that bind those links alone. held: {body: posture (J,)} bodies of the world that the tip carries, grasped where
+    that the arm may not enter (teach.hull.Region); they count as bodies of the world. only: {region or body: names of
+    links}, those that bind these links alone. held: {body: posture (J,)} bodies of the world that the tip carries, grasped where
     they stand at that posture; what they rest on there (nearer than ``margin`` [m]) they may stay as near to, not nearer.
     ignored: further pairs of names that may touch. cap: larger clearances are not told apart [m].
 
@@ -245,7 +245,7 @@ class CollisionModel:
         self._turning = np.array([j not in slides for j in range(len(self.arm.joint_names))])
 
     def _world_pairs(self):
-        rigid = _rigid_groups(self.arm.tree)
+        rigid = self.arm.tree.rigid_groups
         moving = [a for a, link in enumerate(self.links) if rigid[link] != rigid[0]]
         names = self.names
         return [
@@ -267,7 +267,7 @@ class CollisionModel:
 
     def _choose_own_pairs(self):
         """Start from every pair of links that are not neighbours; drop those that (nearly) touch at home, or nearly always."""
-        rigid = _rigid_groups(self.arm.tree)
+        rigid = self.arm.tree.rigid_groups
         parents = {
             rigid[link]: rigid[self.arm.tree.parent[link]] for link in range(len(rigid)) if rigid[link] == link and link
         }
@@ -298,7 +298,7 @@ class CollisionModel:
 
 def _checked(only, held, arm, bodies, regions):
     """``only`` and ``held`` as they are; ValueError where they name what is not there."""
-    links, named = arm.link_names, {region.name for region in regions}
+    links, named = arm.link_names, {region.name for region in regions} | {piece.name for piece in bodies}
     for region, bound in only.items():
         unknown = [region] * (region not in named) or [link for link in bound if link not in links]
         if unknown:
@@ -324,15 +324,6 @@ def _keep_nearest(seen, who, owner, distance, pair):
     order = np.argsort(-distance, kind="stable")  # the last assignment wins
     order = order[distance[order] < seen[owner[order]]]
     seen[owner[order]], who[owner[order]] = distance[order], pair[order]
-
-
-def _rigid_groups(tree) -> np.ndarray:
-    """(L,) for each link the first link it cannot move against."""
-    groups = np.arange(len(tree.parent))
-    for link, parent in enumerate(tree.parent):
-        if parent >= 0 and tree.column[link] < 0:
-            groups[link] = groups[parent]
-    return groups
 
 
 def _reach(arm, corners) -> float:

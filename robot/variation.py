@@ -73,6 +73,9 @@ def _turned(data: dict, shift, yaw: float, stays) -> dict:
     if data.get("motion"):
         via = data["motion"]["via"]
         data["motion"]["via"] = [via[0], *map(moved, via[1:])]
+        axis = data["motion"].get("orientation")
+        if isinstance(axis, list):
+            data["motion"]["orientation"] = (turn @ axis).tolist()
     if data.get("goal"):
         data["goal"]["approach"] = (turn @ data["goal"]["approach"]).tolist()
     for condition in (data.get("success") or {}).get("reached", []):

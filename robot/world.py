@@ -111,9 +111,9 @@ class World:
 
     @property
     def obstacles(self) -> "Obstacles":
-        """What a motion must keep clear of: all but what it is to touch."""
-        to_touch = self.spec.get("touch", [])
-        return Obstacles(self.client, {name: body for name, body in self.bodies.items() if name not in to_touch}, self.spec)
+        """What a motion must keep clear of; what it is to touch, all but the hand must."""
+        held = [self.spec["held"]["name"]] if self.spec.get("held") else []
+        return Obstacles(self.client, dict(self.bodies), self.spec, tuple(self.spec.get("touch", [])), tuple(n for n in held if n in self.bodies))
 
     # Building
 
@@ -164,7 +164,9 @@ class World:
     # What a hand holds
 
     def bring_held(self, base_from_tip) -> None:
-        """What the file says is held comes into the world, where a hand at ``base_from_tip`` (4, 4) has it."""
+        """What the file says is held, if anything, comes into the world, where a hand at ``base_from_tip`` (4, 4) has it."""
+        if not self.spec.get("held"):
+            return
         with tempfile.TemporaryDirectory() as folder:
             self._add(self.spec["held"], base_from_tip @ things.pose(self.spec["held"]), Path(folder))
 
@@ -234,11 +236,14 @@ def _at_centres(depth: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Obstacles:
-    """A part of a world, for planning. client: BulletClient. bodies: {name: body id}. spec: the world's."""
+    """A world as planning knows it. client: BulletClient. bodies: {name: body id}. spec: the world's. touch: names of
+    what the hand may touch. held: of what it carries."""
 
     client: BulletClient
     bodies: dict[str, int]
     spec: dict
+    touch: tuple[str, ...] = ()
+    held: tuple[str, ...] = ()
 
 
 def skin(thing: dict, world: str) -> tuple[str, np.ndarray]:

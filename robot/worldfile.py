@@ -9,8 +9,9 @@
     workspace: {lower, upper}        the box [m] where motions happen
     view: {target, radius, elevation_deg, azimuth_deg}         what the photographs look at, and from where (photographs.py)
     sketch_views: [{eye, target, fov_deg}]         two to sketch on, one for evaluation
-    motion: {via, events, follow}    what a careful person means: points of the tool's tip [m], the first where the hand starts;
-                                     events [[name, share of the motion]]; how far each point follows the goal's object
+    motion: {via, events, follow, orientation}     what a careful person means: points of the tool's tip [m], the first where the hand starts;
+                                     events [[name, share of the motion]]; how far each point follows the goal's object;
+                                     how the hand is turned: free, keep, down, tangent or an axis [x, y, z]
     goal: {object, approach, distance}             the tip ends ``distance`` [m] before the object's centre along ``approach``
     success: {...}                   when the motion counts as done (conditions.py)
     variation: {shift [m], yaw_deg, things, stays} half ranges (variation.py)
@@ -24,8 +25,11 @@ file has the child, ``lower`` and ``upper`` [m or rad] are from there.
 from importlib.resources import files
 from pathlib import Path
 
+import numpy as np
+
 from robot import conditions, thing
 from robot.fields import direction, known, mappings, near, positive, vector
+from robot.inverse import tool_of
 from scene.files import read_yaml
 
 JOINTS = ("prismatic", "revolute")
@@ -34,7 +38,7 @@ KEYS = {"name", "seed", "objects", "joints", "held", "touch", "tags", "workspace
 INSIDE = {
     "view": {"target", "radius", "elevation_deg", "azimuth_deg"},
     "workspace": {"lower", "upper"},
-    "motion": {"via", "events", "follow"},
+    "motion": {"via", "events", "follow", "orientation"},
     "goal": {"object", "approach", "distance"},
     "variation": {"shift", "yaw_deg", "things", "stays"},
     "film": {"eye", "target", "fov_deg"},
@@ -153,6 +157,7 @@ def _check_motion(motion: dict, where: str) -> None:
         raise ValueError(f"{where}, motion: via must be at least two points, not {via!r}")
     for i, point in enumerate(via):
         vector({"via": point}, "via", 3, f"{where}, via point {i}")
+    tool_of(motion.get("orientation"), 0.0, np.eye(3))
     if "follow" in motion:
         vector(motion, "follow", len(via), f"{where}, motion")
     if not isinstance(events, list) or not all(isinstance(event, list) and len(event) == 2 for event in events):

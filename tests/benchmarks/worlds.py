@@ -54,7 +54,10 @@ def tried(name: str, seed: int, arm: Arm, skill_of, **settings) -> tuple[object,
     with World.load(name, seed=seed, textured=False) as world:
         world.spec["motion"]["via"][0] = arm.fk(arm.home)[:3, 3].tolist()  # whichever arm it is, its hand begins
         skill = skill_of(world.spec)
-        chosen = plan(skill, arm, world.obstacles, seed=seed, **settings)
+        settings |= {"orientation": world.spec["motion"].get("orientation")}
+        with World.load(name, seed=seed, textured=False) as known:
+            known.bring_held(arm.fk(arm.home))
+            chosen = plan(skill, arm, known.obstacles, seed=seed, **settings)
         return chosen, perform(chosen, arm, world, events=planned_events(skill, chosen), fps=0) if chosen.feasible else None
 
 
