@@ -83,12 +83,13 @@ def plan(job: Job, out: Path) -> dict:
     import numpy as np
 
     from robot.export import save_mcap
+    from robot.mounting import mounted
     from robot.world import World
     from teach.trajectory import Skill
 
     skill = Skill.load(job.run / "skill.npz")
-    arm = setting(job, "robot.arm")
-    with World.from_spec(_obstacles(job, skill, arm), textured=False) as world:
+    spec, arm = mounted(job.settings("world"), setting(job, "robot.arm"))
+    with World.from_spec(_obstacles(job, skill, spec, arm), textured=False) as world:
         world.bring_held(arm.fk(arm.home))
         chosen = setting(job, "robot.planner")(skill, arm, world.obstacles, start=arm.home, seed=job.cfg.seed)
     chosen.save(out / "plan.npz")
@@ -107,12 +108,12 @@ def plan(job: Job, out: Path) -> dict:
     }
 
 
-def _obstacles(job: Job, skill, arm) -> dict:
+def _obstacles(job: Job, skill, world: dict, arm) -> dict:
     """The world that planning knows: the world's file, or what the photographs show."""
     if not job.settings("robot.obstacles"):
         if job.cfg.photos:
             log.warning("  note: planned among the obstacles of world %s, not of the photographs; robot/obstacles=reconstruction does that", job.cfg.world.name)
-        return job.settings("world")
+        return world
     import numpy as np
 
     from robot.obstacles import on_the_arm
@@ -124,7 +125,7 @@ def _obstacles(job: Job, skill, arm) -> dict:
     spec = setting(job, "robot.obstacles")(job.capture, space, np.concatenate(paths), on_the_arm(arm, arm.home))
     unseen = sum(thing["shape"] == "box" for thing in spec["objects"])
     log.info("  among %d pieces of the mesh and %d boxes of unseen space", len(spec["objects"]) - unseen, unseen)
-    return spec | ({"held": job.settings("world.held")} if job.settings("world.held") else {})
+    return spec | ({"held": world["held"]} if world.get("held") else {})
 
 
 def execute(job: Job, out: Path) -> dict:
@@ -133,6 +134,7 @@ def execute(job: Job, out: Path) -> dict:
 
     from robot.events import planned_events
     from robot.execution import save_video
+    from robot.mounting import mounted
     from robot.planner import Plan
     from robot.world import World
     from scene.dataset import save_image
@@ -143,10 +145,10 @@ def execute(job: Job, out: Path) -> dict:
         raise ValueError(f"the plan is not feasible, so it is not performed: {chosen.sentence}")
     if job.cfg.photos:
         raise ValueError("there is no simulated world of your own photographs to perform in: plan.npz and joint_trajectory.json are the motion")
-    spec = job.settings("world")
+    spec, arm = mounted(job.settings("world"), setting(job, "robot.arm"))
     with World.from_spec(spec) as world:
         events = planned_events(Skill.load(job.run / "skill.npz"), chosen)
-        performed = setting(job, "robot.execution")(chosen, setting(job, "robot.arm"), world, events=events)
+        performed = setting(job, "robot.execution")(chosen, arm, world, events=events)
     performed.save(out / "execution.npz")
     save_video(out / "execution.mp4", performed.frames, performed.fps)
     save_image(out / "filmstrip.png", np.concatenate(performed.frames[performed.strip], axis=1))

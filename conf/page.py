@@ -140,7 +140,10 @@ def suggesting(settings: dict, workspace: list | None, capture: Path) -> dict:
 
 def performing(settings: dict, spec: dict, seed: int) -> dict:
     """make: {"plan": ..., "perform": ...}."""
+    from robot.mounting import mounted
+
     parts = {name: instantiate(setting, _convert_="all") for name, setting in settings.items()}
+    spec, parts["arm"] = mounted(spec, parts["arm"])
     return {
         "plan": partial(_plan, parts["planner"], parts["arm"], spec, seed),
         "perform": partial(_perform, parts["execution"], parts["arm"], spec),

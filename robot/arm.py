@@ -1,4 +1,4 @@
-"""Arm: a robot arm's kinematics and limits, forward and inverse.
+"""Arm: a robot arm's kinematics and limits, forward and inverse; on a walking trunk too.
 
 Notation
     q      (J,) joint values [rad or m], in the order of ``joint_names``
@@ -17,8 +17,10 @@ from pathlib import Path
 import numpy as np
 
 from robot import inverse, kinematics
+from robot.gait import Walk, walk
 from robot.inverse import NoSolution, Tool
 from robot.kinematics import FIXED, POSE, POSITION, PRISMATIC, REVOLUTE, Tree
+from robot.legs import Legs
 from robot.urdf import MOVING, Urdf
 from scene.files import read_yaml
 
@@ -40,7 +42,8 @@ class Arm:
     """An arm standing at the origin of the base frame. Make one with ``load`` or ``from_urdf``.
 
     lower, upper [rad or m]; velocity [per s]; acceleration [per s^2]; home (J,): comfortable posture, where it starts.
-    gripper: its joints are held open where kinematics and collision are concerned.
+    gripper: its joints are held open where kinematics and collision are concerned. legs: of a robot that walks; the first
+    joints are then its trunk's place.
     """
 
     name: str
@@ -54,6 +57,7 @@ class Arm:
     home: np.ndarray
     tip_link: str
     gripper: Gripper
+    legs: Legs | None = None
 
     @classmethod
     def load(cls, name_or_path) -> "Arm":
@@ -98,13 +102,15 @@ class Arm:
         velocity=None,
         acceleration=None,
         gripper=None,
+        legs=None,
     ) -> "Arm":
         """Read an arm from a URDF file.
 
         urdf: path, or "pybullet_data:" or "robot:" and a path there. tip_link: the default is the end of the longest
         chain. home (J,) [rad], lower, upper, velocity, acceleration (J,): replace what the URDF says (home: the middle
         of the range nearest zero). gripper: {joints: names, open: values, closed: values} [m or rad]; other joints off
-        the chain are held at the value nearest zero. Raises FileNotFoundError, or ValueError that says what is wrong.
+        the chain are held at the value nearest zero. legs: {feet: names of links, ground: height of what they stand on [m],
+        room: boxes}, see Legs; what moves between the root and the trunk are then joints of the arm too. Raises FileNotFoundError, or ValueError that says what is wrong.
         """
         path = _resolve(urdf)
         description = Urdf.load(path)
@@ -136,6 +142,7 @@ class Arm:
             start,
             tip,
             _gripper(gripper, description, names, path.name),
+            Legs.from_urdf(description, **legs) if legs else None,
         )
 
     @cached_property
@@ -204,11 +211,18 @@ class Arm:
         """PyBullet's indices of the fingers' joints, in the order of ``fingers``."""
         return tuple(self._numbering[name] for name in self.fingers)
 
+    @property
+    def leg_indices(self) -> tuple[int, ...]:
+        """PyBullet's indices of the legs' joints."""
+        return tuple(self._numbering[name] for name in self.legs.joints) if self.legs else ()
+
     def spawn(self, client) -> int:
         """Put the robot at the origin of the client's world, fixed, at home, fingers open. Returns the body's id."""
         body = client.loadURDF(str(self.urdf), [0, 0, 0], [0, 0, 0, 1], useFixedBase=True)
         values = zip((*self.joint_indices, *self.finger_indices), (*self.home, *self.fingers.values()))
         for index, value in values:
+            client.resetJointState(body, index, float(value))
+        for index, value in zip(self.leg_indices, self.walk([0.0], self.home[None]).joints[0] if self.legs else ()):
             client.resetJointState(body, index, float(value))
         return body
 
@@ -223,6 +237,10 @@ class Arm:
     def link_poses(self, q) -> np.ndarray:
         """q (N, J) -> base_from_link (N, L, 4, 4) of all links, in the order of ``link_names``."""
         return self.tree.poses(np.atleast_2d(self._joints(q)))
+
+    def walk(self, times, q) -> Walk:
+        """How the legs go along with q (T, J) at times (T,) [s]. Raises NoSolution where they cannot."""
+        return walk(self.legs, times, self.link_poses(q)[:, self.link_names.index(self.legs.trunk)])
 
     def jacobian(self, q) -> np.ndarray:
         """Geometric Jacobian (6, J) of the tip in the base frame: linear velocity above angular velocity."""

@@ -28,7 +28,7 @@ from robot import separation
 from robot.bounds import lower_bounds
 from robot.kinematics import PRISMATIC
 from robot.separation import TRUSTED, Solid, gap
-from robot.shapes import body_pieces, link_pieces, region_pieces
+from robot.shapes import body_pieces, box, link_pieces, region_pieces
 
 WORLD, ITSELF = 0, 1
 NEAR_AT_HOME = 0.01  # m: what is nearer in a comfortable posture is a matter of coarse geometry
@@ -62,9 +62,10 @@ class CollisionModel:
         bodies = body_pieces(world.client, world.bodies) if world is not None else []
         self._only, self._held = _checked(only or {}, held or {}, arm, bodies, regions)
         carried = [_carried(arm, piece, self._held[piece.name]) for piece in bodies if piece.name in self._held]
-        self.links, self.pieces = (tuple(column) for column in zip(*link_pieces(arm.description), *carried))
+        self.links, self.pieces = (tuple(column) for column in zip(*_arm_pieces(arm), *carried))
         self.surroundings = (*(piece for piece in bodies if piece.name not in self._held), *region_pieces(regions))
-        self._ignored = {frozenset(pair) for pair in ignored}
+        rooms = [(room["link"], arm.legs.trunk) for room in arm.legs.room] if arm.legs else []
+        self._ignored = {frozenset(pair) for pair in (*ignored, *rooms)}
         self._objects = [fcl.CollisionObject(piece.geometry) for piece in self.pieces]
         self._objects += [fcl.CollisionObject(p.geometry, _fcl_pose(p.frame_from_piece)) for p in self.surroundings]
         self._request = fcl.DistanceRequest(enable_nearest_points=True, enable_signed_distance=True)
@@ -294,6 +295,16 @@ class CollisionModel:
         own = np.array([pair for pair, keep in zip(candidates, kept) if keep], dtype=np.int64).reshape(-1, 2)
         self._own = len(own)
         self._pairs = np.vstack([self._pairs, own])
+
+
+def _arm_pieces(arm) -> list:
+    """(index of the link, piece) of the arm; in place of legs, which step as the trunk goes, the room that holds them."""
+    if arm.legs is None:
+        return link_pieces(arm.description)
+    bodies = [(index, piece) for index, piece in link_pieces(arm.description) if piece.name not in arm.legs.links]
+    place = lambda room: np.block([[np.eye(3), np.array(room["position"], dtype=float)[:, None]], [np.zeros((1, 3)), 1.0]])
+    rooms = [(arm.link_names.index(room["link"]), box(room["link"], room["size"], place(room))) for room in arm.legs.room]
+    return bodies + rooms
 
 
 def _checked(only, held, arm, bodies, regions):

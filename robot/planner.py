@@ -227,6 +227,11 @@ def _untimely(arm, model, attempt, duration, rate) -> _Timed:
 
 def _timed_refusal(model, timed, index, margin) -> str:
     """The last check, on the motion as it will be performed."""
+    if model.arm.legs:
+        try:
+            model.arm.walk(timed.times, timed.joints)
+        except NoSolution as error:
+            return f"{title(index)}: the legs cannot follow: {error}"
     worst = int(timed.position_error.argmax())
     t, error = timed.waypoint[worst], timed.position_error[worst]
     if error > POSITION_TOLERANCE:

@@ -15,6 +15,8 @@
     goal: {object, approach, distance}             the tip ends ``distance`` [m] before the object's centre along ``approach``
     success: {...}                   when the motion counts as done (conditions.py)
     variation: {shift [m], yaw_deg, things, stays} half ranges (variation.py)
+    mount: name                      the object that an arm stands on; it is not there for a robot with legs (mounting.py)
+    stand: [x, y, yaw]               where the trunk of a robot with legs stands [m, deg]
     film: {eye, target, fov_deg}     where the performance is filmed from (optional)
 
 Frame: metres, z up, the robot's base. A mass of 0 is fixed. A tag lies with its picture's right along x, its top along y.
@@ -34,7 +36,7 @@ from scene.files import read_yaml
 
 JOINTS = ("prismatic", "revolute")
 KEYS = {"name", "seed", "objects", "joints", "held", "touch", "tags", "workspace", "view", "sketch_views", "motion", "goal", "success",
-        "variation", "film"}  # fmt: skip
+        "variation", "film", "mount", "stand"}  # fmt: skip
 INSIDE = {
     "view": {"target", "radius", "elevation_deg", "azimuth_deg"},
     "workspace": {"lower", "upper"},
@@ -96,6 +98,10 @@ def _check_objects(data: dict, where: str) -> set[str]:
         seen.add(one["name"])
     if held and not held[0].get("mass"):
         raise ValueError(f"{where}, held {held[0]['name']}: what is held needs a mass")
+    if data.get("mount") is not None and data["mount"] not in seen:
+        raise ValueError(f"{where}: mount {data['mount']!r} is not an object{near(data['mount'], seen)}")
+    if data.get("stand") is not None:
+        vector(data, "stand", 3, where)
     if not isinstance(data.get("touch", []), list):
         raise ValueError(f"{where}: touch must be a list of names, not {data['touch']!r}")
     return seen
