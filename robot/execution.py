@@ -18,6 +18,7 @@ import av
 import numpy as np
 
 from robot import conditions
+from robot.gait import slipped
 from robot.simulated import STEP, Robot
 from robot.timing import motion_spline
 from scene.camera import Camera, look_at
@@ -189,17 +190,6 @@ def _legs(arm, motion, duration):
     times = np.arange(int(np.ceil(duration / STEP)) + 1) * STEP
     joints = arm.walk(times, motion(np.minimum(times, duration))).joints
     return lambda time: joints[min(round(time / STEP), len(joints) - 1)]
-
-
-def slipped(feet) -> float:
-    """The farthest [m] that a foot moves while it stands: feet (N, F, 3) [m], nan where one does not."""
-    farthest = 0.0
-    for foot in np.moveaxis(feet, 1, 0):
-        down = ~np.isnan(foot[:, 0])
-        for k in np.split(np.arange(len(foot)), np.flatnonzero(down[1:] != down[:-1]) + 1):
-            if down[k[0]]:
-                farthest = max(farthest, float(np.linalg.norm(foot[k] - foot[k[0]], axis=1).max()))
-    return farthest
 
 
 def _clock(duration, settle, world) -> Iterator[float]:

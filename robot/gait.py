@@ -53,6 +53,17 @@ def walk(legs: Legs, times, world_from_trunk) -> Walk:
     return Walk(times, legs.angles(world_from_trunk, feet), feet, stands)
 
 
+def slipped(feet) -> float:
+    """The farthest [m] that a foot moves while it stands: feet (N, F, 3) [m], nan where one does not."""
+    farthest = 0.0
+    for foot in np.moveaxis(feet, 1, 0):
+        down = ~np.isnan(foot[:, 0])
+        for k in np.split(np.arange(len(foot)), np.flatnonzero(down[1:] != down[:-1]) + 1):
+            if down[k[0]]:
+                farthest = max(farthest, float(np.linalg.norm(foot[k] - foot[k[0]], axis=1).max()))
+    return farthest
+
+
 def _swing(feet, stands, times, foot, begin, there) -> None:
     """One foot's swing, from where it is to ``there`` (3,) [m]; it stays there."""
     u = np.clip((times - begin) / SWING, 0, 1)
