@@ -90,7 +90,7 @@ def plan(job: Job, out: Path) -> dict:
     skill = Skill.load(job.run / "skill.npz")
     spec, arm = mounted(job.settings("world"), setting(job, "robot.arm"))
     with World.from_spec(_obstacles(job, skill, spec, arm), textured=False) as world:
-        world.bring_held(arm.fk(arm.home))
+        world.bring_held(arm, arm.home)
         chosen = setting(job, "robot.planner")(skill, arm, world.obstacles, start=arm.home, seed=job.cfg.seed)
     chosen.save(out / "plan.npz")
     write_json(out / "joint_trajectory.json", chosen.joint_trajectory())

@@ -156,7 +156,7 @@ def _plan(planner, arm, spec, seed, progress, skill: Path, keep: Path) -> dict:
 
     progress(0.1, "Looking for a way for the arm")
     with World.from_spec(spec, textured=False) as world:
-        world.bring_held(arm.fk(arm.home))
+        world.bring_held(arm, arm.home)
         chosen = planner(Skill.load(skill), arm, world.obstacles, start=arm.home, seed=seed)
     chosen.save(keep)
     return planned(chosen)

@@ -30,11 +30,13 @@ DEFAULT_VELOCITY, DEFAULT_ACCELERATION = 1.0, 2.5  # rad/s, rad/s^2 where neithe
 
 @dataclass(frozen=True, eq=False)
 class Gripper:
-    """joints: their names. open, closed (G,): their values [m or rad]."""
+    """joints: their names. open, closed (G,): their values [m or rad]. rest (3,): in the tip's frame, from a finger that does
+    not move to what lies on it, of length 1; 0 where both fingers move."""
 
     joints: tuple[str, ...]
     open: np.ndarray
     closed: np.ndarray
+    rest: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,8 +110,8 @@ class Arm:
 
         urdf: path, or "pybullet_data:" or "robot:" and a path there. tip_link: the default is the end of the longest
         chain. home (J,) [rad], lower, upper, velocity, acceleration (J,): replace what the URDF says (home: the middle
-        of the range nearest zero). gripper: {joints: names, open: values, closed: values} [m or rad]; other joints off
-        the chain are held at the value nearest zero. legs: {feet: names of links, ground: height of what they stand on [m],
+        of the range nearest zero). gripper: {joints: names, open: values, closed: values} [m or rad] and perhaps
+        rest, see Gripper; other joints off the chain are held at the value nearest zero. legs: {feet: names of links, ground: height of what they stand on [m],
         room: boxes}, see Legs; what moves between the root and the trunk are then joints of the arm too. Raises FileNotFoundError, or ValueError that says what is wrong.
         """
         path = _resolve(urdf)
@@ -345,15 +347,15 @@ def _resolve(urdf) -> Path:
 
 def _gripper(given, description, arm_joints, file) -> Gripper:
     given = given or {"joints": (), "open": (), "closed": ()}
-    if set(given) != {"joints", "open", "closed"}:
-        raise ValueError(f"{file}: a gripper has joints, open and closed, not {', '.join(given)}")
+    if not {"joints", "open", "closed"} <= set(given) <= {"joints", "open", "closed", "rest"}:
+        raise ValueError(f"{file}: a gripper has joints, open and closed, and perhaps rest, not {', '.join(given)}")
     moving = [joint.name for joint in description.joints.values() if joint.kind in MOVING]
     known = [name for name in moving if name not in arm_joints]
     for name in given["joints"]:
         if name not in known:
             raise ValueError(f"{file}: the gripper's joint {name} is none of {', '.join(known) or 'no joint'}")
     values = (_vector(given[key], None, len(given["joints"]), f"the gripper's {key}") for key in ("open", "closed"))
-    return Gripper(tuple(given["joints"]), *values)
+    return Gripper(tuple(given["joints"]), *values, _vector(given.get("rest"), [0, 0, 0], 3, "the gripper's rest"))
 
 
 def _vector(given, otherwise, count, what) -> np.ndarray:

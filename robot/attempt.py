@@ -33,8 +33,9 @@ class Attempt:
 
     @property
     def rank(self) -> tuple:
-        """Better is larger: feasible, then how much of the path could be followed, then clearance."""
-        return not self.refusal, len(self.path), self.clearance
+        """Better is larger: feasible, then with the hand turned early, how much of the path could be followed, clearance."""
+        turning = self.profile.turning if self.profile and not self.refusal else 0.0
+        return not self.refusal, -turning, len(self.path), self.clearance
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,4 @@
-"""Where a robot stands in a world: an arm on the thing that its file calls ``mount``, a robot with legs on the floor, its
+"""Where a robot stands in a world: an arm on the thing that its file calls ``mount`` (pedestal), a robot with legs on the floor, its
 trunk where the file's ``stand`` has it."""
 
 from dataclasses import replace
@@ -11,7 +11,7 @@ def mounted(spec: dict, arm) -> tuple[dict, object]:
     starts, is turned and shifted to ``stand`` [x, y [m], yaw [deg]]."""
     if arm.legs is None:
         return spec, arm
-    mount, variation = spec.get("mount"), dict(spec.get("variation") or {})
+    mount, variation = spec.get("mount", "pedestal"), dict(spec.get("variation") or {})
     variation["stays"] = [name for name in variation.get("stays", []) if name != mount]
     objects = [thing for thing in spec["objects"] if thing["name"] != mount]
     without = {key: value for key, value in spec.items() if key != "mount"} | {"objects": objects, "variation": variation}

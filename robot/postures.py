@@ -4,8 +4,8 @@ The taught motion fixes where the tip is, not how it is turned. A *profile* fill
 schedule 0 -> 1 by which the arm changes from its start posture to it. In between, the posture is the one nearest to the
 straight line in joint space between both among those whose tip is on the path, so that hand and elbow turn smoothly.
 
-Where the hand's orientation is asked for (Tool), it turns there from how it is within the first TURNING of the path, and
-the profile fills what is left: the roll about the axis, or nothing.
+Where the hand's orientation is asked for (Tool), it turns there from how it is within the first of TURNINGS of the path
+that the arm can follow, and the profile fills what is left: the roll about the axis, or nothing.
 
 End postures have the tip's z axis (the approach axis) tilted from straight down towards horizontal, along the heading
 at the path's end and away from the base, at all rolls about it; one more keeps the present orientation, one is free.
@@ -24,7 +24,7 @@ from robot.kinematics import POINTED, POSE
 
 TILTS = np.radians([0, 30, 60, 90])
 ROLLS = np.radians([0, 45, 90, 135, 180, 225, 270, 315])
-TURNING = 0.35  # share of the path within which the hand comes to be turned as it is asked to
+TURNINGS = (0.35, 0.7)  # shares of the path within which the hand comes to be turned as it is asked to; the later if it must
 SCHEDULES = {"evenly": lambda t: t, "early": lambda t: np.clip(t / 0.6, 0, 1) ** 2 * (3 - 2 * np.clip(t / 0.6, 0, 1))}
 
 
@@ -34,7 +34,7 @@ class Profile:
     matter.
 
     turned: orientations (T, 3, 3) of the tip along the path where they are taught or asked for, of which ``rows`` count
-    (kinematics.py) but for ``slack`` [rad].
+    (kinematics.py) but for ``slack`` [rad]. turning: share of the path within which it turns there.
     """
 
     end: np.ndarray
@@ -43,6 +43,7 @@ class Profile:
     turned: np.ndarray | None = None
     rows: int = POSE
     slack: float = 0.0
+    turning: float = 0.0
 
 
 def heading(points) -> np.ndarray:
@@ -85,7 +86,6 @@ def taught_profile(arm: Arm, orientation, start, count) -> Profile:
 def tool_profiles(arm: Arm, tool: Tool, points, start) -> list[Profile]:
     """Profiles along a path (T, 3) on which the hand is turned as ``tool`` says; none where it cannot be at the end."""
     poses, rows = tool.poses(points)
-    poses[:, :3, :3] = _eased(arm.fk(start)[:3, :3], poses[:, :3, :3], rows)
     rolls = ROLLS if rows == POINTED else ROLLS[:1]
     about = Rotation.from_euler("z", rolls[:, None]).as_matrix()
     found = [_reachable(arm, points[-1], poses[-1, :3, :3] @ R, start) for R in about]
@@ -93,12 +93,16 @@ def tool_profiles(arm: Arm, tool: Tool, points, start) -> list[Profile]:
     for q in sorted((q for q in found if q is not None), key=lambda q: np.abs(q - start).max()):
         if all(np.abs(q - other).max() > 0.1 for other in ends):
             ends.append(q)
-    return [Profile(q, name, turned=poses[:, :3, :3], rows=rows, slack=tool.tolerance) for q in ends for name in SCHEDULES]
+    eased = {turning: _eased(arm.fk(start)[:3, :3], poses[:, :3, :3], rows, turning) for turning in TURNINGS}
+    return [
+        Profile(q, name, turned=eased[turning], rows=rows, slack=tool.tolerance, turning=turning)
+        for turning, q, name in product(TURNINGS, ends, SCHEDULES)
+    ]
 
 
-def _eased(present, turned, rows) -> np.ndarray:
-    """Orientations (T, 3, 3) that begin at ``present`` (3, 3) and are those of ``turned`` (T, 3, 3) after TURNING."""
-    share = np.clip(np.linspace(0, 1, len(turned)) / TURNING, 0, 1)
+def _eased(present, turned, rows, turning) -> np.ndarray:
+    """Orientations (T, 3, 3) that begin at ``present`` (3, 3) and are those of ``turned`` (T, 3, 3) after ``turning``."""
+    share = np.clip(np.linspace(0, 1, len(turned)) / turning, 0, 1)
     share = share**2 * (3 - 2 * share)
     if rows == POINTED:  # the shortest way there leaves the roll about z as it is
         vectors = np.array([_between(present[:, 2], R[:, 2]) for R in turned])

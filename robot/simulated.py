@@ -32,7 +32,7 @@ class Robot:
         self.feet = [self.links.index(foot) for foot in arm.legs.feet] if arm.legs else []
         self.effort = {index: entry[10] or UNLIMITED for index, entry in enumerate(info)}
         self.open, self.closed = list(arm.gripper.open), list(arm.gripper.closed)
-        self.grip = self.open
+        self.grip, self.rest = self.open, arm.gripper.rest
         for finger in self.fingers:
             client.changeDynamics(self.body, finger, lateralFriction=GRIP)
         client.setTimeStep(STEP)
@@ -54,7 +54,7 @@ class Robot:
     def take(self, world) -> None:
         """What the world's file says is held is put between the fingers, and these close on it."""
         if world.spec.get("held"):
-            world.put_in_hand(self.body, self.tip)
+            world.put_in_hand(self.body, self.tip, self.rest)
             self.grip = self.closed
 
     def _drive(self, joints, positions, speeds) -> None:

@@ -163,18 +163,27 @@ class World:
 
     # What a hand holds
 
-    def bring_held(self, base_from_tip) -> None:
-        """What the file says is held, if anything, comes into the world, where a hand at ``base_from_tip`` (4, 4) has it."""
-        if not self.spec.get("held"):
-            return
-        with tempfile.TemporaryDirectory() as folder:
-            self._add(self.spec["held"], base_from_tip @ things.pose(self.spec["held"]), Path(folder))
+    def bring_held(self, arm, q) -> None:
+        """What the file says is held, if anything, comes into the world, where an arm at q (J,) has it."""
+        if self.spec.get("held"):
+            self._bring(arm.fk(q) @ self._in_hand(arm.gripper.rest))
 
-    def put_in_hand(self, robot: int, link: int) -> None:
-        """It comes into the world at the robot's link, fixed to that."""
+    def _in_hand(self, rest) -> np.ndarray:
+        """tip_from_held (4, 4): as the file says, and moved along ``rest`` (3,) by half its size, see arm.Gripper."""
+        tip_from_held = things.pose(self.spec["held"])
+        points = np.vstack([piece.corners() for piece in standing.thing_pieces(self.spec["held"])])
+        tip_from_held[:3, 3] += rest * np.max((points - tip_from_held[:3, 3]) @ -np.asarray(rest), initial=0)
+        return tip_from_held
+
+    def _bring(self, pose) -> None:
+        with tempfile.TemporaryDirectory() as folder:
+            self._add(self.spec["held"], pose, Path(folder))
+
+    def put_in_hand(self, robot: int, link: int, rest=(0.0, 0.0, 0.0)) -> None:
+        """It comes into the world at the robot's link, fixed to that, moved along ``rest`` (3,) as in ``bring_held``."""
         com, frame = (_matrix(*self.client.getLinkState(robot, link, computeForwardKinematics=True)[k : k + 2]) for k in (0, 4))
-        self.bring_held(frame)
-        com_from_held = np.linalg.inv(com) @ frame @ things.pose(self.spec["held"])
+        self._bring(frame @ self._in_hand(rest))
+        com_from_held = np.linalg.inv(com) @ frame @ self._in_hand(rest)
         quat_xyzw = Rotation.from_matrix(com_from_held[:3, :3]).as_quat().tolist()
         self._grip = self.client.createConstraint(robot, link, self.bodies[self.spec["held"]["name"]], -1, pybullet.JOINT_FIXED, [0, 0, 0],
                                                   com_from_held[:3, 3].tolist(), [0, 0, 0], quat_xyzw)  # fmt: skip

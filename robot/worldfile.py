@@ -15,7 +15,7 @@
     goal: {object, approach, distance}             the tip ends ``distance`` [m] before the object's centre along ``approach``
     success: {...}                   when the motion counts as done (conditions.py)
     variation: {shift [m], yaw_deg, things, stays} half ranges (variation.py)
-    mount: name                      the object that an arm stands on; it is not there for a robot with legs (mounting.py)
+    mount: name                      the object that an arm stands on, "pedestal" if left out; a robot with legs does without (mounting.py)
     stand: [x, y, yaw]               where the trunk of a robot with legs stands [m, deg]
     film: {eye, target, fov_deg}     where the performance is filmed from (optional)
 

@@ -47,7 +47,7 @@ def performed(name, arm):
     events = tuple(Event(event, 3.0 * share) for event, share in spec["motion"].get("events", []))
     skill = Skill(TrajectoryDistribution(basis, weights, 1e-8 * np.eye(120)), 3.0, events)
     with World.from_spec(spec, textured=False) as known:
-        known.bring_held(arm.fk(arm.home))
+        known.bring_held(arm, arm.home)
         chosen = plan(skill, arm, known.obstacles, samples=1)
     with World.from_spec(spec, textured=False) as world:
         return chosen, arm.walk(chosen.times, chosen.joints), perform(chosen, arm, world, events=planned_events(skill, chosen), fps=0)

@@ -6,7 +6,7 @@ import pytest
 from robot.arm import Arm
 from robot.inverse import tool_of
 from robot.planner import plan
-from robot.postures import TURNING
+from robot.postures import TURNINGS
 from robot.world import World
 from teach.basis import SquaredExponential
 from teach.trajectory import Skill, TrajectoryDistribution
@@ -36,7 +36,7 @@ def test_the_hand_points_along_the_axis_once_it_has_turned_there(z1):
     chosen = plan(straight(z1, np.array([0.45, 0.12, 0.20])), z1, None, samples=1, orientation=DOWN)
     assert chosen.feasible
     tips, way = z1.fk(chosen.joints), np.linalg.norm(chosen.tip - chosen.tip[0], axis=1)
-    assert max(angle(z, np.array(DOWN)) for z in tips[way > (TURNING + 0.02) * way[-1], :3, 2]) < 1
+    assert max(angle(z, np.array(DOWN)) for z in tips[way > (TURNINGS[0] + 0.02) * way[-1], :3, 2]) < 1
     np.testing.assert_allclose(tips[0], z1.fk(z1.home), atol=1e-3)
 
 
@@ -73,12 +73,12 @@ def test_only_the_hand_may_touch_what_is_to_be_touched(z1):
 
 
 def test_what_the_hand_carries_keeps_clear_too(z1):
-    stick = {"name": "stick", "shape": "box", "size": [0.02, 0.02, 0.3], "position": [0.15, 0, 0], "rpy_deg": [0, 90, 0], "mass": 0.05}
+    stick = {"name": "stick", "shape": "box", "size": [0.02, 0.02, 0.3], "position": [0.3, 0, 0], "rpy_deg": [0, 90, 0], "mass": 0.05}
     shelf = {"name": "shelf", "shape": "box", "size": [0.3, 0.2, 0.02], "position": [0.5, 0.3, 0.15]}
     over, spec = straight(z1, np.array([0.45, 0.25, 0.35])), {"name": "w", "seed": 0, "objects": [shelf]}
     with World(spec, textured=False) as world:
         assert plan(over, z1, world.obstacles, samples=1, moved=0, orientation="keep").feasible
     with World(spec | {"held": stick}, textured=False) as world:
-        world.bring_held(z1.fk(z1.home))
+        world.bring_held(z1, z1.home)
         refused = plan(over, z1, world.obstacles, samples=1, moved=0, orientation="keep")
     assert not refused.feasible and "stick" in refused.refusals[0] and "shelf" in refused.refusals[0]

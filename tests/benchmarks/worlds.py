@@ -59,7 +59,7 @@ def tried(name: str, seed: int, arm: Arm, skill_of, **settings) -> tuple[object,
         skill = skill_of(world.spec)
         settings |= {"orientation": world.spec["motion"].get("orientation")}
         with World.from_spec(spec, textured=False) as known:
-            known.bring_held(arm.fk(arm.home))
+            known.bring_held(arm, arm.home)
             chosen = plan(skill, arm, known.obstacles, seed=seed, **settings)
         return chosen, perform(chosen, arm, world, events=planned_events(skill, chosen), fps=0) if chosen.feasible else None
 
