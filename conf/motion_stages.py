@@ -153,7 +153,25 @@ def execute(job: Job, out: Path) -> dict:
     save_video(out / "execution.mp4", performed.frames, performed.fps)
     save_image(out / "filmstrip.png", np.concatenate(performed.frames[performed.strip], axis=1))
     log.info("  %s", performed.sentence)
-    return performed.metrics
+    return performed.metrics | _letter(job, spec, performed, chosen)
+
+
+def _letter(job: Job, spec: dict, performed, chosen) -> dict:
+    """How well the world's letter was written, if its motion is one and a scripted user meant it."""
+    import numpy as np
+
+    from robot.variation import varied
+
+    motion = varied(spec).get("motion") or {}
+    if not motion.get("letter") or job.cfg.user.kind != "scripted":
+        return {}
+    from conf.writing import written
+
+    with np.load(job.run / "intended.npz") as paths:
+        meant = paths["training"].reshape(-1, *paths["training"].shape[2:])
+    rated = written(motion, performed.tip, chosen.tip, meant)
+    log.info("  the letter %(letter)s looks like %(looks_like)s; %(to_intended_mm).0f mm from the intended one (oracle %(oracle_to_intended_mm).0f mm)", rated)
+    return {"letter": rated}
 
 
 def asked(job: Job) -> int | None:

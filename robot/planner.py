@@ -53,6 +53,7 @@ def plan(
     approach=0.15,
     orientation=None,
     orientation_tolerance=0.0,
+    starts_within=0.0,
 ) -> Plan:
     """Choose, check and time a motion of the arm among the bodies of the world.
 
@@ -66,7 +67,8 @@ def plan(
     the hand carries from the start. approach [m]: where the hand is farther from where the motion was taught to begin, it
     goes there first; nearer, or where this is None, the motion is conditioned to begin at the hand. orientation: of the
     hand, where the skill says none: None or "free", "keep", "down", "tangent", or an axis [x, y, z] that it points along;
-    kept within orientation_tolerance [rad] once the hand has turned there.
+    kept within orientation_tolerance [rad] once the hand has turned there. starts_within [m]: the hand does not begin where
+    ``start`` has it but at random this near to there, to see what becomes of a motion from elsewhere.
     Regions are kept clear of as if they were bodies. The motion takes at least ``skill.duration``. Raises ValueError where
     the start itself is out of limits or too close to something, NoSolution where the beginning cannot be reached,
     SketchError where outlines bound no region.
@@ -74,8 +76,11 @@ def plan(
     if samples < 1 or waypoints < 2:
         raise ValueError(f"a plan needs at least 1 sample and 2 waypoints, not {samples} and {waypoints}")
     start = np.array(arm.home if start is None else start, dtype=float)
+    held = [*held, *getattr(world, "held", ())]
+    if starts_within > 0:
+        start = _elsewhere(arm, start, starts_within, seed, held)
     regions, only = regions_of(skill.keep_out, outlined_for, keep_out)
-    held = dict.fromkeys([*held, *getattr(world, "held", ())], start)
+    held = dict.fromkeys(held, start)
     only |= dict.fromkeys(getattr(world, "touch", ()), arm.beside_hand)
     model = CollisionModel(arm, world, regions, only=only, held=held, margin=margin)
     _check_start(arm, model, start, margin)
@@ -85,6 +90,16 @@ def plan(
     search = Search(arm, model, begin, margin, comfortable, postures, tool)
     motion = _motion(skill, search, samples, waypoints, seed, rate, moved)
     return motion if lead is None else motion.after(lead, arm.velocity, arm.acceleration)
+
+
+def _elsewhere(arm, start, within, seed, held) -> np.ndarray:
+    """A posture whose tip is at random, evenly within a ball, near to where ``start`` has it."""
+    if held:
+        raise ValueError(f"a hand that holds {', '.join(held)} begins where it took that: leave robot.planner.starts_within at 0")
+    rng, pose = np.random.default_rng([seed, 1]), arm.fk(start)
+    away = rng.normal(size=3)
+    pose[:3, 3] += within * rng.uniform() ** (1 / 3) * away / np.linalg.norm(away)
+    return arm.ik(pose, start=start, position_only=True)
 
 
 def _lead(skill, arm, model, start, approach, margin, rate, seed) -> Plan | None:

@@ -11,6 +11,7 @@
     sketch_views: [{eye, target, fov_deg}]         two to sketch on, one for evaluation
     motion: {via, events, follow, orientation}     what a careful person means: points of the tool's tip [m], the first where the hand starts;
                                      events [[name, share of the motion]]; how far each point follows the goal's object;
+                                     letter, at, size [m]: written behind the via points, upright about the place ``at`` (letters.py);
                                      how the hand is turned: free, keep, down, tangent or an axis [x, y, z]
     goal: {object, approach, distance}             the tip ends ``distance`` [m] before the object's centre along ``approach``
     success: {...}                   when the motion counts as done (conditions.py)
@@ -32,6 +33,7 @@ import numpy as np
 from robot import conditions, thing
 from robot.fields import direction, known, mappings, near, positive, vector
 from robot.inverse import tool_of
+from robot.letters import letter
 from scene.files import read_yaml
 
 JOINTS = ("prismatic", "revolute")
@@ -40,7 +42,7 @@ KEYS = {"name", "seed", "objects", "joints", "held", "touch", "tags", "workspace
 INSIDE = {
     "view": {"target", "radius", "elevation_deg", "azimuth_deg"},
     "workspace": {"lower", "upper"},
-    "motion": {"via", "events", "follow", "orientation"},
+    "motion": {"via", "events", "follow", "orientation", "letter", "at", "size", "right"},
     "goal": {"object", "approach", "distance"},
     "variation": {"shift", "yaw_deg", "things", "stays"},
     "film": {"eye", "target", "fov_deg"},
@@ -164,6 +166,10 @@ def _check_motion(motion: dict, where: str) -> None:
     for i, point in enumerate(via):
         vector({"via": point}, "via", 3, f"{where}, via point {i}")
     tool_of(motion.get("orientation"), 0.0, np.eye(3))
+    if motion.get("letter") is not None:
+        letter(motion["letter"])
+        vector(motion, "at", 3, f"{where}, motion")
+        positive(motion, "size", 1, f"{where}, motion")
     if "follow" in motion:
         vector(motion, "follow", len(via), f"{where}, motion")
     if not isinstance(events, list) or not all(isinstance(event, list) and len(event) == 2 for event in events):
