@@ -15,6 +15,7 @@ from hydra.utils import instantiate
 
 from conf import stages
 from conf.stages import Job, Stage
+from robot.mounting import mounted
 from robot.variation import varied
 from scene.camera import Camera
 from scene.dataset import load_views
@@ -58,8 +59,8 @@ def draw(job: Job, names: list[str]) -> tuple[list[Sketch], np.ndarray, np.ndarr
     pages = _photographed(job, names) if job.cfg.user.draws_on == "photographs" else _rendered(job, names)
     hand = scaled(instantiate(job.cfg.user.hand), job.cfg.user.clumsiness)
     rng = np.random.default_rng(job.cfg.seed)
-    motion = varied(job.settings("world"))["motion"]
-    arm = instantiate(job.cfg.robot.arm)
+    spec, arm = mounted(job.settings("world"), instantiate(job.cfg.robot.arm))
+    motion = varied(spec)["motion"]
     via = np.array([arm.fk(arm.home)[:3, 3], *motion["via"][1:]], dtype=float)  # whichever arm it is, its hand begins
     sketches, paths = [], []
     for page in pages:
