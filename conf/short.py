@@ -24,7 +24,9 @@ def markdown(results: Results) -> str:
     for row in results.rows:
         cell = lines.setdefault(_title(results, row), {})
         cell.setdefault(_side(results, row), _figures(row))
-    lines |= results.published
+    for title, cells in results.published.items():
+        of = lambda side: next((text for key, text in cells.items() if set(side.split(", ")) <= set(key.split(", "))), "")
+        lines[title] = {side: of(side) for side in sides}
     head = [" / ".join(results.columns), *sides]
     body = [[title, *(cells.get(side, "") for side in sides)] for title, cells in lines.items()]
     return "\n".join("| " + " | ".join(line) + " |" for line in (head, ["---"] * len(head), *body))
@@ -77,10 +79,10 @@ def kept(path: Path) -> Results:
 
 def in_readme(text: str, name: str, table: str | None = None) -> str | None:
     """The README's table of that name; with ``table``, the README's text with it in its place. None where it has no such place."""
-    place = re.search(rf"(?<=<!-- {re.escape(name)} -->\n).*?(?=\n<!-- end -->)", text, re.DOTALL)
+    place = re.search(rf"(?<=<!-- {re.escape(name)} -->\n).*?(?=<!-- end -->)", text, re.DOTALL)
     if place is None:
         return None
-    return place[0] if table is None else text[: place.start()] + table + text[place.end() :]
+    return place[0].rstrip("\n") if table is None else f"{text[: place.start()]}{table}\n{text[place.end() :]}"
 
 
 def write_readme(readme: Path, name: str, table: str) -> bool:

@@ -163,9 +163,10 @@ def test_what_is_kept_makes_the_same_table_in_the_readme(tmp_path):
     table_again = short.markdown(short.kept(tmp_path / "docs" / "table1.json"))
     assert table_again == short.markdown(results)
     readme = tmp_path / "README.md"
-    readme.write_text("before\n<!-- table1 -->\nold\n<!-- end -->\nafter\n")
-    assert short.write_readme(readme, "table1", table_again) and not short.write_readme(readme, "other", table_again)
-    assert readme.read_text() == f"before\n<!-- table1 -->\n{table_again}\n<!-- end -->\nafter\n"
+    for old in ("", "| old |\n"):
+        readme.write_text(f"before\n<!-- table1 -->\n{old}<!-- end -->\nafter\n")
+        assert short.write_readme(readme, "table1", table_again) and not short.write_readme(readme, "other", table_again)
+        assert readme.read_text() == f"before\n<!-- table1 -->\n{table_again}\n<!-- end -->\nafter\n"
 
 
 KEPT = sorted((ROOT / "docs" / "results").glob("*.json"))
