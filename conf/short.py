@@ -24,12 +24,15 @@ def markdown(results: Results) -> str:
     for row in results.rows:
         cell = lines.setdefault(_title(results, row), {})
         cell.setdefault(_side(results, row), _figures(row))
-    for title, cells in results.published.items():
-        of = lambda side: next((text for key, text in cells.items() if set(side.split(", ")) <= set(key.split(", "))), "")
-        lines[title] = {side: of(side) for side in sides}
+    lines |= {title: {side: _published(cells, side) for side in sides} for title, cells in results.published.items()}
     head = [" / ".join(results.columns), *sides]
     body = [[title, *(cells.get(side, "") for side in sides)] for title, cells in lines.items()]
     return "\n".join("| " + " | ".join(line) + " |" for line in (head, ["---"] * len(head), *body))
+
+
+def _published(cells: dict[str, str], side: str) -> str:
+    """What was published of a side; of one that leaves something open, the first that fits."""
+    return next((text for key, text in cells.items() if set(side.split(", ")) <= set(key.split(", "))), "")
 
 
 def _side(results: Results, row: Row) -> str:
