@@ -26,12 +26,12 @@ def camera_errors(views, truth: dict | None) -> dict:
 
 
 def field_errors(field, held_out, folder: Path, world_spec: dict | None) -> dict:
-    """PSNR [dB] on held-out views, seconds for one view, and, in a simulated world, the median depth error [mm].
+    """PSNR [dB] and SSIM on held-out views, seconds for one view, and, in a simulated world, the median depth error [mm].
 
     The rendered pictures are kept in ``folder`` for the report.
     """
     from scene.dataset import save_image
-    from scene.field.volume import psnr
+    from scene.field.volume import psnr, ssim
 
     folder.mkdir(exist_ok=True)
     started = time.perf_counter()
@@ -42,6 +42,7 @@ def field_errors(field, held_out, folder: Path, world_spec: dict | None) -> dict
         np.save(folder / f"{view.name}_depth.npy", depth)
     errors = {
         "psnr": float(np.mean([psnr(image, view.image) for view, (image, _) in zip(held_out, rendered, strict=True)])),
+        "ssim": float(np.mean([ssim(image, view.image) for view, (image, _) in zip(held_out, rendered, strict=True)])),
         "render_seconds": seconds,
     }
     if world_spec is not None:
@@ -66,10 +67,26 @@ def _depth_error(views, depths, world_spec: dict) -> float:
 
 
 def taught_errors(skill, run: Path, *, seed: int) -> dict:
-    """MFD and WD of the learned motion in the held-out view; beside them the oracle's and the two baselines'.
+    """How far the learned motion is from what was meant, where that is known; nothing of what a person drew.
 
-    The oracle knows the intended 3D paths behind the training strokes: their mean, and five of them as samples.
+    error_mm: Frechet distance in space from its mean to the path that all demonstrations attempt. MFD and WD: in the held-out
+    view, if there is one. The oracle knows the intended 3D paths behind the training strokes: their mean, and five of them as
+    samples.
     """
+    from teach import metrics
+    from teach.curve import resample
+
+    with np.load(run / "intended.npz", allow_pickle=False) as file:
+        if "meant" not in file:
+            return {}
+        training, meant = file["training"].reshape(-1, *file["training"].shape[-2:]), file["meant"]
+    mean, oracle = skill.distribution.mean_at(TIMES), training.mean(0)
+    off = {f"{prefix}error_mm": 1000 * float(metrics.frechet(resample(path, len(meant)), meant)) for prefix, path in (("", mean), ("oracle_", oracle))}
+    return off | _in_the_held_out_view(skill.distribution, training, run, np.random.default_rng([seed, 1]))
+
+
+def _in_the_held_out_view(taught, intended, run: Path, rng) -> dict:
+    """MFD and WD of what was taught, beside them the oracle's, who knows the paths (n, T, 3) [m], and the two baselines'."""
     from teach import baselines, metrics
     from teach import sketch as sketch_files
 
@@ -78,9 +95,6 @@ def taught_errors(skill, run: Path, *, seed: int) -> dict:
         return {}
     (held_out,) = held_out
     strokes, camera = [stroke.points for stroke in held_out.strokes], held_out.camera
-    with np.load(run / "intended.npz") as file:
-        intended = file["training"].reshape(-1, *file["training"].shape[-2:])
-    rng = np.random.default_rng([seed, 1])
     line = baselines.linear(strokes)
     nearest = baselines.nearest_neighbour(sketch_files.load(run / "sketches.json"), camera)
 
@@ -88,7 +102,6 @@ def taught_errors(skill, run: Path, *, seed: int) -> dict:
         mfd, std = metrics.mfd(mean, strokes, camera.width)
         return {f"{prefix}mfd": mfd, f"{prefix}mfd_std": std, f"{prefix}wd": metrics.wd(samples, strokes, camera.width)}
 
-    taught = skill.distribution
     return (
         scores(camera.project(taught.mean_at(TIMES)), camera.project(taught.sample(SAMPLES, TIMES, rng)))
         | scores(camera.project(intended.mean(0)), camera.project(rng.permutation(intended)[:SAMPLES]), "oracle_")

@@ -114,7 +114,7 @@ def overview(drawn, learned, performed) -> Figure:
         for stroke in strokes:
             axis.plot(*stroke.T, color=INK, linewidth=1.6)
     _, image, mean, samples, _ = learned
-    _picture(axes[len(drawn)], image, "learned, in a view without strokes")
+    _picture(axes[len(drawn)], image, "learned")
     for sample in samples:
         axes[len(drawn)].plot(*sample.T, color=INK, linewidth=0.8, alpha=0.6)
     axes[len(drawn)].scatter(*mean.T, c=np.linspace(0, 1, len(mean)), cmap=TIME_COLOURS, s=5)

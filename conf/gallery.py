@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from conf import growth, short
 from conf.report import STYLE
 from conf.results import JobResult, Results, cells, comparisons, interval, markdown
 from scene.files import replacing
@@ -39,10 +40,16 @@ def write(results: Results, folder: Path) -> Path:
         writer.writeheader()
         writer.writerows(rows)
     with replacing(folder / "table.md") as temporary:
-        temporary.write_text(markdown(results), encoding="utf-8")
+        temporary.write_text(table_of(results), encoding="utf-8")
     with replacing(folder / "report.html") as temporary:
         temporary.write_text(_page(results, folder), encoding="utf-8")
     return folder / "report.html"
+
+
+def table_of(results: Results) -> str:
+    """The table, in its short form first where it has one, its notes, and how its figures grow."""
+    side_by_side = f"{short.markdown(results)}\n\n" if results.across and results.rows else ""
+    return side_by_side + markdown(results) + "".join(f"- {sentence}\n" for sentence in growth.said(results))
 
 
 def _page(results: Results, folder: Path) -> str:
@@ -52,8 +59,7 @@ def _page(results: Results, folder: Path) -> str:
         "<ul>" + "".join(f"<li>{html.escape(note)}" for note in results.notes) + "</ul>",
     ]
     if results.rows:
-        parts += [_table(results), "<h2>Compared in pairs</h2><ul>"]
-        parts += [f"<li>{html.escape(said)}" for said in comparisons(results)] + ["</ul>"]
+        parts += [_table(results), _list("Growth", growth.said(results)), _list("Compared in pairs", comparisons(results))]
         for path in plots(results, folder / "plots"):
             parts.append(f'<figure><img alt="{html.escape(path.stem)}" src="data:image/png;base64,{base64.b64encode(path.read_bytes()).decode()}"></figure>')
     parts += ["<h2>Jobs</h2><ul class=jobs>", *[_job(results, job, folder) for job in results.jobs], f"</ul><script>{SORTS}</script></body></html>"]
@@ -71,21 +77,16 @@ def plots(results: Results, folder: Path) -> list[Path]:
     paths = []
     for column, name in enumerate(results.columns):
         figure, axes = plt.subplots(figsize=(8, max(2.4, 1 + 0.34 * len(results.rows))), layout="constrained")
-        number = _number(results)
+        number = growth.number(results.rows)
         _curves(axes, results, column, number) if number else _dots(axes, results, column)
         axes.set(**{("ylabel" if number else "xlabel"): name})
-        axes.grid(alpha=0.3)
+        if number and results.growth:
+            axes.set(xscale="log", yscale="log")
+        axes.grid(alpha=0.3, which="both" if results.growth else "major")
         paths.append(folder / f"{results.columns[name][0]}.png")
         figure.savefig(paths[-1], dpi=110)
         plt.close(figure)
     return paths
-
-
-def _number(results: Results) -> str | None:
-    """The one setting whose values are all numbers, at least three of them."""
-    keys = [key for key in results.rows[0].settings if len({row.settings[key] for row in results.rows}) > 2]
-    numbers = [key for key in keys if all(_is_number(row.settings[key]) for row in results.rows)]
-    return numbers[0] if len(numbers) == 1 else None
 
 
 def _curves(axes, results: Results, column: int, key: str) -> None:
@@ -113,6 +114,11 @@ def _dots(axes, results: Results, column: int) -> None:
     axes.invert_yaxis()
 
 
+def _list(title: str, sentences) -> str:
+    lines = "".join(f"<li>{html.escape(sentence)}" for sentence in sentences)
+    return f"<h2>{title}</h2><ul>{lines}</ul>" if lines else ""
+
+
 def _table(results: Results) -> str:
     head, body = cells(results)
     titles = "".join(f"<th><button>{html.escape(title)}</button>" for title in head)
@@ -123,8 +129,8 @@ def _table(results: Results) -> str:
 def _job(results: Results, job: JobResult, folder: Path) -> str:
     said = html.escape(", ".join(f"{key}={job.settings[key]}" for key in results.varied if key in job.settings) or job.folder.name)
     where = html.escape(os.path.relpath(job.folder, folder))
-    picture = job.folder / "figures" / "overview.png"
-    shown = f'<img loading=lazy alt="{said}" src="{where}/figures/overview.png">' if picture.exists() else ""
+    there = [name for name in results.pictures if (job.folder / "figures" / f"{name}.png").exists()]
+    shown = "".join(f'<img loading=lazy alt="{html.escape(name)}, {said}" src="{where}/figures/{html.escape(name)}.png">' for name in there)
     link = f'<a href="{where}/report.html">{said}</a>' if (job.folder / "report.html").exists() else said
     failed = "" if job.state == "finished" else f"<p class=failed>{html.escape(job.state)}: {html.escape(job.error)}"
     return f"<li>{shown}<p>{link}</p>{failed}"
@@ -133,11 +139,3 @@ def _job(results: Results, job: JobResult, folder: Path) -> str:
 def _line(results: Results, job: JobResult) -> dict:
     settings = {key: job.settings.get(key, "") for key in results.varied}
     return {"job": f"{job.folder.parent.name}/{job.folder.name}", "state": job.state, "error": "" if job.state == "finished" else job.error} | settings | job.figures
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True

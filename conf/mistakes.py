@@ -1,6 +1,7 @@
 """What to tell a person about an error: one line, with the names that were perhaps meant."""
 
 import re
+import shutil
 from difflib import get_close_matches
 
 from hydra import compose, initialize_config_module
@@ -10,6 +11,8 @@ from omegaconf import OmegaConf
 
 PLUGINS = {"joblib": "joblib", "submitit": "slurm", "optuna": "optuna", "ray": "ray"}
 """What to install for a launcher or sweeper: part of its module's name -> extra of pyproject.toml."""
+DEATHS = {"BrokenProcessPool", "UncompletedJobError", "WorkerCrashedError", "OutOfMemoryError"}
+"""What launchers raise where the process of a job ended without a result: joblib's, submitit's, ray's."""
 UNKNOWN_KEY = re.compile(r"Could not override '([^']+)'")
 
 
@@ -28,6 +31,18 @@ def explained(error: Exception) -> str:
     if unknown:
         return f"there is no setting {unknown[1]}{_nearest(unknown[1], _keys())}; --cfg job shows all of them"
     return words
+
+
+def check_launcher(arguments: list[str]) -> None:
+    """Raise ValueError where SLURM is asked for and there is none."""
+    if "hydra/launcher=submitit_slurm" in arguments and shutil.which("srun") is None:
+        raise ValueError("hydra/launcher=submitit_slurm needs SLURM, and there is no srun on this machine: start it on the cluster's login node, "
+                         "or try it here with hydra/launcher=submitit_local")  # fmt: skip
+
+
+def was_killed(error: Exception) -> bool:
+    """Whether a launcher says that the process of a job died."""
+    return bool(DEATHS & {kind.__name__ for kind in type(error).__mro__})
 
 
 def _nearest(name: str, names: list[str]) -> str:

@@ -14,11 +14,9 @@ from conf.stages import Job, setting, write_json
 
 log = logging.getLogger("scene2skill")
 
-DRAWN_ON = ("view1", "view2", "view3")
-
 
 def sketch(job: Job, out: Path) -> dict:
-    """A person, or the scripted one, draws the motion on two views, or one along a surface; on a third for evaluation only."""
+    """A person, or the scripted one, draws the motion on two views or more, or one along a surface; on another for evaluation only."""
     import numpy as np
 
     from teach import sketch as sketch_files
@@ -33,13 +31,12 @@ def sketch(job: Job, out: Path) -> dict:
         held_out, intended = [], {}
         log.info("  the skill %s", name)
     else:
-        from conf.seen import draw
+        from conf.seen import draw, drawn_on, roles
 
-        judge = job.cfg.user.held_out
-        if judge not in DRAWN_ON:
-            raise ValueError(f"user.held_out={judge}: the views to sketch on are {', '.join(DRAWN_ON)}")
-        drawn, paths = draw(job, [*(name for name in DRAWN_ON if name != judge), judge])
-        sketches, held_out, intended = drawn[:-1], drawn[-1:], {"training": paths[:-1], "held_out": paths[-1]}
+        teaching, judging = roles(drawn_on(job), job.cfg.user.held_out)
+        drawn, paths, meant = draw(job, [*teaching, *judging])
+        sketches, held_out = drawn[: len(teaching)], drawn[len(teaching) :]
+        intended = {"training": paths[: len(teaching)], "meant": meant}
     sketch_files.check(sketches, surfaces=_depths(job, sketches))
     sketch_files.save(out / "sketches.json", sketches)
     sketch_files.save(out / "held_out.json", held_out)
@@ -83,12 +80,14 @@ def plan(job: Job, out: Path) -> dict:
     import numpy as np
 
     from robot.export import save_mcap
+    from robot.mounting import mounted
     from robot.world import World
     from teach.trajectory import Skill
 
     skill = Skill.load(job.run / "skill.npz")
-    arm = setting(job, "robot.arm")
-    with World.from_spec(_obstacles(job, skill, arm)) as world:
+    spec, arm = mounted(job.settings("world"), setting(job, "robot.arm"))
+    with World.from_spec(_obstacles(job, skill, spec, arm), textured=False) as world:
+        world.bring_held(arm, arm.home)
         chosen = setting(job, "robot.planner")(skill, arm, world.obstacles, start=arm.home, seed=job.cfg.seed)
     chosen.save(out / "plan.npz")
     write_json(out / "joint_trajectory.json", chosen.joint_trajectory())
@@ -106,12 +105,12 @@ def plan(job: Job, out: Path) -> dict:
     }
 
 
-def _obstacles(job: Job, skill, arm) -> dict:
+def _obstacles(job: Job, skill, world: dict, arm) -> dict:
     """The world that planning knows: the world's file, or what the photographs show."""
     if not job.settings("robot.obstacles"):
         if job.cfg.photos:
             log.warning("  note: planned among the obstacles of world %s, not of the photographs; robot/obstacles=reconstruction does that", job.cfg.world.name)
-        return job.settings("world")
+        return world
     import numpy as np
 
     from robot.obstacles import on_the_arm
@@ -123,7 +122,7 @@ def _obstacles(job: Job, skill, arm) -> dict:
     spec = setting(job, "robot.obstacles")(job.capture, space, np.concatenate(paths), on_the_arm(arm, arm.home))
     unseen = sum(thing["shape"] == "box" for thing in spec["objects"])
     log.info("  among %d pieces of the mesh and %d boxes of unseen space", len(spec["objects"]) - unseen, unseen)
-    return spec
+    return spec | ({"held": world["held"]} if world.get("held") else {})
 
 
 def execute(job: Job, out: Path) -> dict:
@@ -132,6 +131,7 @@ def execute(job: Job, out: Path) -> dict:
 
     from robot.events import planned_events
     from robot.execution import save_video
+    from robot.mounting import mounted
     from robot.planner import Plan
     from robot.world import World
     from scene.dataset import save_image
@@ -142,15 +142,33 @@ def execute(job: Job, out: Path) -> dict:
         raise ValueError(f"the plan is not feasible, so it is not performed: {chosen.sentence}")
     if job.cfg.photos:
         raise ValueError("there is no simulated world of your own photographs to perform in: plan.npz and joint_trajectory.json are the motion")
-    spec = job.settings("world")
+    spec, arm = mounted(job.settings("world"), setting(job, "robot.arm"))
     with World.from_spec(spec) as world:
         events = planned_events(Skill.load(job.run / "skill.npz"), chosen)
-        performed = setting(job, "robot.execution")(chosen, setting(job, "robot.arm"), world, events=events)
+        performed = setting(job, "robot.execution")(chosen, arm, world, events=events)
     performed.save(out / "execution.npz")
     save_video(out / "execution.mp4", performed.frames, performed.fps)
     save_image(out / "filmstrip.png", np.concatenate(performed.frames[performed.strip], axis=1))
     log.info("  %s", performed.sentence)
-    return performed.metrics
+    return performed.metrics | _letter(job, spec, performed, chosen)
+
+
+def _letter(job: Job, spec: dict, performed, chosen) -> dict:
+    """How well the world's letter was written, if its motion is one and a scripted user meant it."""
+    import numpy as np
+
+    from robot.variation import varied
+
+    motion = varied(spec).get("motion") or {}
+    if not motion.get("letter") or job.cfg.user.kind != "scripted":
+        return {}
+    from conf.writing import written
+
+    with np.load(job.run / "intended.npz") as paths:
+        meant = paths["training"].reshape(-1, *paths["training"].shape[2:])
+    rated = written(motion, performed.tip, chosen.tip, meant)
+    log.info("  the letter %(letter)s looks like %(looks_like)s; %(to_intended_mm).0f mm from the intended one (oracle %(oracle_to_intended_mm).0f mm)", rated)
+    return {"letter": rated}
 
 
 def asked(job: Job) -> int | None:

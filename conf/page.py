@@ -151,7 +151,10 @@ def suggesting(settings: dict, workspace: list | None, capture: Path) -> dict:
 
 def performing(settings: dict, spec: dict, seed: int) -> dict:
     """make: {"body": ..., "plan": ..., "perform": ...}."""
+    from robot.mounting import mounted
+
     parts = {name: instantiate(setting, _convert_="all") for name, setting in settings.items()}
+    spec, parts["arm"] = mounted(spec, parts["arm"])
     return {
         "body": lambda progress: body(parts["arm"]),
         "plan": partial(_plan, parts["planner"], parts["arm"], spec, seed),
@@ -165,6 +168,7 @@ def _plan(planner, arm, spec, seed, progress, skill: Path, keep: Path) -> dict:
 
     progress(0.1, "Looking for a way for the arm")
     with World.from_spec(spec, textured=False) as world:
+        world.bring_held(arm, arm.home)
         chosen = planner(Skill.load(skill), arm, world.obstacles, start=arm.home, seed=seed)
     chosen.save(keep)
     return planned(chosen) | {"links": link_rows(arm, chosen.joints[_shown_rows(chosen)])}

@@ -18,9 +18,10 @@ from conf.stages import Job, Record, Stage, progress, write_json
 log = logging.getLogger("scene2skill")
 
 SCENE = ("scene.seed",)
+PHOTOGRAPHED = tuple(f"world.{key}" for key in ("name", "seed", "variation", "objects", "joints", "held", "tags", "view", "goal"))
 VIEWED = ("world.sketch_views", "world.seed", "world.variation", "world.view")
 STAGES = (
-    Stage("capture", scene_stages.capture, ("photos", "tags.json", "truth.json"), settings=("world", "robot.photographs", *SCENE), shared=True),
+    Stage("capture", scene_stages.capture, ("photos", "tags.json", "truth.json"), settings=(*PHOTOGRAPHED, "robot.photographs", *SCENE), shared=True),
     Stage("reconstruct", scene_stages.reconstruct, ("images", "colmap", "sparse.ply", "transforms.json"),
           settings=("scene.colmap", "scene.frame", "scene.resection", *SCENE), inputs=scene_stages.fingerprint, shared=True),
     Stage("train", scene_stages.train, ("field.pt", "held_out"), ("reconstruct",), ("scene.fit", *SCENE), shared=True, resumable=True),
@@ -78,7 +79,7 @@ def _do(stage: Stage, job: Job, records: dict[str, Record]) -> None:
 
 def _needs(stage: Stage, job: Job) -> tuple[str, ...]:
     """The stages whose files a stage reads: no field is needed to sketch on photographs."""
-    on_photographs = stage.name == "sketch" and job.cfg.user.kind == "files" and job.cfg.user.draws_on == "photographs"
+    on_photographs = stage.name == "sketch" and job.cfg.user.get("draws_on") == "photographs"
     return ("reconstruct",) if on_photographs else stage.needs
 
 
@@ -114,7 +115,8 @@ def _wanted(job: Job) -> list[str]:
 def _metrics(records: dict[str, Record]) -> dict:
     """metrics.json: one group for each stage; total_seconds is what all of them cost, when they were done."""
     groups = {"train": "field", "fit": "teach"}
-    metrics = {groups.get(name, name): {"seconds": r.seconds} | r.metrics for name, r in records.items()}
+    memory = lambda record: {} if record.peak_mb is None else {"peak_mb": record.peak_mb}
+    metrics = {groups.get(name, name): {"seconds": r.seconds} | memory(r) | r.metrics for name, r in records.items()}
     return metrics | {"total_seconds": sum(record.seconds for record in records.values())}
 
 

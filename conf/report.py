@@ -50,6 +50,7 @@ class _Page:
 
     def __init__(self, job: Job):
         self.run, self.capture = job.run, job.capture
+        self.rendered = job.cfg.user.get("draws_on") != "photographs"
         self.figures = job.run / "figures"
         self.figures.mkdir(exist_ok=True)
 
@@ -128,12 +129,19 @@ def _drawn(page: _Page) -> list[tuple]:
     """(title, image, camera, strokes, outlines) of every sketched view, the held-out one last."""
     from teach import sketch
 
-    images = {view.name: view.image for view in load_views(page.capture / "views")}
+    images = _pictures(page)
     held_out = sketch.load(page.run / "held_out.json")
     rows = [(s.view, s) for s in sketch.load(page.run / "sketches.json")] + [(f"{s.view} (held out)", s) for s in held_out]
     blank = np.full((480, 640, 3), 255, np.uint8)
     return [(title, images.get(s.view, blank), s.camera, *([stroke.points for stroke in strokes] for strokes in (s.motions, s.outlines)))
             for title, s in rows]  # fmt: skip
+
+
+def _pictures(page: _Page) -> dict[str, np.ndarray]:
+    """Everything that may have been drawn on, by name; what the job draws on, photographs or rendered views, wins."""
+    folders = [page.capture, page.capture / "views"]
+    known = [{v.name: v.image for v in load_views(folder)} for folder in folders if (folder / "transforms.json").is_file()]
+    return {name: image for images in (known if page.rendered else known[::-1]) for name, image in images.items()}
 
 
 def _learned(page: _Page, metrics: dict) -> list[str]:

@@ -9,8 +9,8 @@ import yaml
 from conf.results import code_of, figures_of
 from conf.stages import status_of
 
-TIMES = ("seconds", "render_seconds", "total_seconds")
-"""Figures that no two runs share."""
+TIMES = ("seconds", "render_seconds", "total_seconds", "peak_mb")
+"""Figures that no two runs share: of time and memory."""
 
 
 def expanded(arguments: list[str]) -> list[str]:

@@ -8,11 +8,15 @@ signed-rank test. How an experiment is read stands in its YAML:
     over      settings that repeat a configuration
     columns   name in the table: [path in metrics.json, factor]
     rows      name of a method: prefix of the metric, for methods that a job measures beside its own (oracle_, linear_)
+    across    settings whose values stand side by side in the short form of the table (short.py)
+    published name of a row: {value of ``across``: text}, what others reported
+    pictures  of a job's figures/, shown in the sweep's page
+    growth    true: figures over a setting of numbers are fitted by a power of it (growth.py)
 """
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
@@ -51,6 +55,10 @@ class Results:
     over: tuple[str, ...]
     columns: dict[str, tuple[str, float]]
     methods: dict[str, str]
+    across: tuple[str, ...] = ()
+    published: dict[str, dict[str, str]] = field(default_factory=dict)
+    growth: bool = False
+    pictures: tuple[str, ...] = ("overview",)
 
     @property
     def missing(self) -> list[JobResult]:
@@ -69,7 +77,8 @@ class Results:
         for job in self.jobs:
             for method, prefix in (self.methods or {"": ""}).items():
                 settings = tuple((key, job.settings.get(key, "")) for key in configured) + ((("method", method),) if method else ())
-                figures = [factor * job.figures.get(_variant(path, prefix), np.nan) for path, factor in self.columns.values()]
+                figures = [factor * job.figures.get(variant(path, prefix), np.nan) for path, factor in self.columns.values()]
+                figures = [value if np.isfinite(value) else np.nan for value in figures]
                 if job.state == "finished" and not np.isnan(figures).all():
                     groups.setdefault(settings, []).append((figures, job.sketches))
         return [Row(dict(settings), np.array([f for f, _ in found]), tuple(s for _, s in found)) for settings, found in groups.items()]
@@ -83,7 +92,7 @@ class Results:
         codes = {job.code for job in self.jobs}
         notes += [f"These jobs ran {len(codes)} versions of the code: {', '.join(sorted(str(c)[:10] for c in codes))}."] if len(codes) > 1 else []
         holes = {name: sum(int(np.isnan(row.values[:, i]).sum()) for row in self.rows) for i, name in enumerate(self.columns)}
-        return notes + [f"{name}: {count} jobs have no figure and are left out." for name, count in holes.items() if count]
+        return notes + [f"{name}: {count} jobs have no figure, or not a finite one, and are left out." for name, count in holes.items() if count]
 
 
 def collect(folders: Sequence[Path]) -> Results:
@@ -93,8 +102,15 @@ def collect(folders: Sequence[Path]) -> Results:
     if not specs:
         raise ValueError(f"no job of a sweep lies in {', '.join(map(str, folders))}: give runs/<experiment>/<time>")
     measured = {path for job in jobs for path in job.figures}
-    columns = {name: (path, float(factor)) for name, (path, factor) in specs[0]["columns"].items() if path in measured}
-    return Results(jobs, tuple(specs[0]["over"]), columns, specs[0]["rows"])
+    return read_by(specs[0], jobs, measured)
+
+
+def read_by(spec: dict, jobs: tuple[JobResult, ...], measured: set[str]) -> Results:
+    """The jobs as an experiment's ``spec`` says, with the columns of which something is measured."""
+    columns = {name: (path, float(factor)) for name, (path, factor) in spec["columns"].items() if path in measured}
+    more = {"across": tuple(spec.get("across", ())), "published": spec.get("published", {}), "growth": spec.get("growth", False),
+            "pictures": tuple(spec.get("pictures", ["overview"]))}  # fmt: skip
+    return Results(jobs, tuple(spec["over"]), columns, spec["rows"], **more)
 
 
 def _job_folders(folders: Sequence[Path]) -> list[Path]:
@@ -117,6 +133,8 @@ def figures_of(run: Path) -> dict[str, float]:
             elif isinstance(value, (int, float)):
                 yield f"{above}{key}", float(value)
 
+    if not isinstance(metrics, dict):
+        raise ValueError(f"{path} holds no figures: it is not what a job writes")
     return dict(flat(metrics, ""))
 
 
@@ -196,13 +214,17 @@ def _job(folder: Path) -> JobResult:
     import yaml
 
     status = read_json(folder / "status.json", f"no job lies in {folder}")
+    if not isinstance(status, dict) or "state" not in status:
+        raise ValueError(f"{folder / 'status.json'} is no job's: give runs/<experiment>/<time>")
     overrides = folder / ".hydra" / "overrides.yaml"
-    pairs = [line.partition("=") for line in (yaml.safe_load(overrides.read_text()) or [])] if overrides.exists() else []
+    lines = yaml.safe_load(overrides.read_text()) if overrides.exists() else None
+    pairs = [str(line).partition("=") for line in (lines if isinstance(lines, list) else [])]
     sketches = folder / "sketches.json"
-    state = "did not come to its end" if status["state"] == "running" else status["state"]
+    running = status["state"] == "running"
     return JobResult(
-        folder, state, status.get("error", "stopped"), {key.lstrip("+~"): value for key, _, value in pairs}, figures_of(folder),
-        code_of(folder),
+        folder, "did not come to its end" if running else status["state"],
+        status.get("error", "killed, perhaps for want of memory, or still running" if running else "stopped"),
+        {key.lstrip("+~"): value for key, _, value in pairs}, figures_of(folder), code_of(folder),
         hashlib.sha256(sketches.read_bytes()).hexdigest() if sketches.exists() else None,
     )  # fmt: skip
 
@@ -214,7 +236,7 @@ def _spec(folder: Path) -> dict | None:
     return (yaml.safe_load(path.read_text()) or {}).get("experiment") if path.exists() else None
 
 
-def _variant(path: str, prefix: str) -> str:
+def variant(path: str, prefix: str) -> str:
     group, _, name = path.rpartition(".")
     return f"{group}.{prefix}{name}"
 

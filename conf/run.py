@@ -8,7 +8,7 @@ import subprocess
 import sys
 import time
 import traceback
-from concurrent.futures.process import BrokenProcessPool
+from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 
@@ -21,9 +21,9 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from conf import rerun
-from conf.mistakes import explained
+from conf.mistakes import check_launcher, explained, was_killed
 from conf.results import figures_of
-from conf.stages import Job, write_json
+from conf.stages import Job, status_of, write_json
 from conf.sweep import Sweep, is_finished, settings_key
 from scene.inputs import scene_name
 
@@ -52,6 +52,7 @@ def launch(task, *overrides: str) -> int:
     sys.argv[1:1] = overrides
     sweep = None
     try:
+        check_launcher(sys.argv[1:])
         sys.argv[1:] = rerun.expanded(sys.argv[1:])
         sweep = Sweep.begin(sys.argv[1:], lambda: _git("rev-parse", "HEAD"))
         if sweep is not None:
@@ -62,7 +63,9 @@ def launch(task, *overrides: str) -> int:
         return 130
     except USER_ERRORS as error:
         return _report(error)
-    except BrokenProcessPool:
+    except Exception as error:
+        if not was_killed(error):
+            raise
         return _report(MemoryError("the process of a job was killed, perhaps for want of memory; the same command goes on from there"))
     finally:
         failed = sweep.end() if sweep is not None else 0
@@ -90,6 +93,8 @@ def _run_job(task, cfg: DictConfig):
         if is_finished(run_folder, settings):
             log.info("  finished earlier")
             return _objective(job)
+        if status_of(run_folder).get("state") == "running":
+            log.warning("  was killed when it ran last, perhaps for want of memory: once more")
     status = {"state": "running", "capture": str(job.capture), "settings": settings, "started": time.strftime("%Y-%m-%dT%H:%M:%S")}
     write_json(run_folder / "status.json", status)
     write_json(run_folder / "provenance.json", provenance())
@@ -144,9 +149,13 @@ def capture_folder(cfg: DictConfig) -> Path:
     if cfg.data:
         return Path(cfg.data).resolve()
     name = scene_name(cfg.photos) if cfg.photos else cfg.world.name
-    shipped = hydra.compose("config", overrides=[f"world={HydraConfig.get().runtime.choices.world}"])
     key = _scene_key(cfg)
-    return Path("data", name if key == _scene_key(shipped) else f"{name}-{key:08x}").resolve()
+    return Path("data", name if key == _shipped_key(HydraConfig.get().runtime.choices.world) else f"{name}-{key:08x}").resolve()
+
+
+@cache
+def _shipped_key(world: str) -> int:
+    return _scene_key(hydra.compose("config", overrides=[f"world={world}"]))
 
 
 def _scene_key(cfg: DictConfig) -> int:
@@ -171,7 +180,9 @@ def provenance() -> dict:
     }
 
 
+@cache
 def _git(*arguments: str) -> str | None:
+    """What git says of the code as this process loaded it: asked once."""
     root = Path(__file__).parents[1]
     if not (root / ".git").exists():
         return None

@@ -25,9 +25,9 @@ def capture(job: Job, out: Path) -> dict:
     from scene.dataset import save_image
     from scene.frame.apriltag import TagLayout
 
-    hemisphere = setting(job, "robot.photographs")
+    photographer = setting(job, "robot.photographs")
     with World.from_spec(job.settings("world")) as world:
-        cameras = hemisphere(world.spec["view"], seed=job.cfg.scene.seed)
+        cameras = photographer(world.spec, seed=job.cfg.scene.seed)
         for i, camera in enumerate(progress(cameras, "photographs")):
             save_image(out / "photos" / f"{i:04d}.png", world.photograph(camera))
         TagLayout(world.tag_size, world.base_from_tag).save(out / "tags.json")

@@ -8,16 +8,17 @@ the capture folder, which jobs share under a lock; the others lie in the run's f
 import hashlib
 import json
 import os
+import resource
 import shutil
 import sys
 import time
 from collections.abc import Callable
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 
-from filelock import FileLock
+from filelock import FileLock, Timeout
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
@@ -62,11 +63,12 @@ class Stage:
 
 @dataclass(frozen=True)
 class Record:
-    """What is kept of a finished stage."""
+    """What is kept of a finished stage. peak_mb: the most memory that its process had then."""
 
     hash: str
     metrics: dict
     seconds: float
+    peak_mb: float | None = None
     reused: bool = True
 
 
@@ -77,7 +79,11 @@ def run(stage: Stage, job: Job, needed: dict[str, Record]) -> Record:
     keep.mkdir(parents=True, exist_ok=True)
     with FileLock(keep / f"{stage.name}.lock") if stage.shared else nullcontext():
         record = find(stage, folder)
-        if record is None and not stage.shared:
+        if record is not None and record.hash == key:
+            return record
+        if stage.shared:
+            record = _from_beside(stage, job, key)
+        elif record is None:
             record = adopt(stage, job, lambda status, found: status != "finished" and found.hash == key)
         if record is not None and record.hash == key:
             return record
@@ -91,16 +97,44 @@ def _build(stage: Stage, job: Job, key: str) -> Record:
         if not (stage.resumable and stale == partial):
             shutil.rmtree(stale)
     partial.mkdir(exist_ok=True)
+    _forget_peak()
     started = time.perf_counter()
     metrics = stage.build(job, partial)
     seconds = time.perf_counter() - started
+    peak = _peak_mb()
     (keep / f"{stage.name}.json").unlink(missing_ok=True)
     for output in stage.outputs:
         _move(partial / output, stage.folder(job) / output)
     shutil.rmtree(partial)
-    record = {"hash": key, "metrics": metrics, "seconds": seconds, "settings": {k: job.settings(k) for k in stage.settings}}
+    record = {"hash": key, "metrics": metrics, "seconds": seconds, "peak_mb": peak, "settings": {k: job.settings(k) for k in stage.settings}}
     write_json(keep / f"{stage.name}.json", record)
-    return Record(key, metrics, seconds, reused=False)
+    return Record(key, metrics, seconds, peak, reused=False)
+
+
+def _forget_peak() -> None:
+    """From here on the process's largest memory is counted anew, where the system can do that (Linux)."""
+    with suppress(OSError):
+        Path("/proc/self/clear_refs").write_text("5")
+
+
+def _peak_mb() -> float:
+    """The largest memory of this process [MB] since it was forgotten."""
+    try:
+        lines = Path("/proc/self/status").read_text().splitlines()
+    except OSError:
+        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20  # bytes where there is no /proc (macOS)
+    return next(int(line.split()[1]) / 1024 for line in lines if line.startswith("VmHWM"))
+
+
+def _from_beside(stage: Stage, job: Job, key: str) -> Record | None:
+    """The same stage of a scene beside this one, copied: scenes that differ in later settings share what comes before."""
+    for path in sorted(job.capture.parent.glob(f"*/.stages/{stage.name}.json")):
+        folder = path.parents[1]
+        with suppress(Timeout, OSError), FileLock(path.with_suffix(".lock"), timeout=0):  # a held one is being built anew
+            record = find(stage, folder) if folder != job.capture else None
+            if record is not None and record.hash == key:
+                return take(stage, folder, job)
+    return None
 
 
 def find(stage: Stage, folder: Path) -> Record | None:
@@ -109,7 +143,7 @@ def find(stage: Stage, folder: Path) -> Record | None:
     if not path.exists() or not all((folder / output).exists() for output in stage.outputs):
         return None
     record = json.loads(path.read_text())
-    return Record(record["hash"], record["metrics"], record["seconds"])
+    return Record(record["hash"], record["metrics"], record["seconds"], record.get("peak_mb"))
 
 
 def adopt(stage: Stage, job: Job, wanted: Callable[[str, Record], bool]) -> Record | None:
@@ -138,12 +172,12 @@ def status_of(run: Path) -> dict:
 
 
 def take(stage: Stage, folder: Path, job: Job) -> Record | None:
-    """Copy what a stage made in the run ``folder`` into the job's own; None where it was not done there."""
-    record = find(stage, folder)
+    """Copy what a stage made in ``folder`` into the job's own; None where it was not done there."""
+    record, own = find(stage, folder), stage.folder(job)
     if record is not None:
-        (job.run / ".stages").mkdir(parents=True, exist_ok=True)
+        (own / ".stages").mkdir(parents=True, exist_ok=True)
         for output in (*stage.outputs, f".stages/{stage.name}.json"):
-            _copy(folder / output, job.run / output)
+            _copy(folder / output, own / output)
     return record
 
 

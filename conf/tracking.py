@@ -35,7 +35,7 @@ class MLflow:
         mlflow.set_tracking_uri(self.store)
         mlflow.set_experiment(run.parents[1].name)
         with mlflow.start_run(run_name=f"{run.parent.name}/{run.name}"):
-            mlflow.log_params(_flat(settings))
+            mlflow.log_params(_flat({key: part for key, part in settings.items() if key != "experiment"}))  # its columns have names that no parameter may have
             mlflow.log_metrics(figures)
 
 

@@ -1,4 +1,4 @@
-"""Arm: a robot arm's kinematics and limits, forward and inverse.
+"""Arm: a robot arm's kinematics and limits, forward and inverse; on a walking trunk too.
 
 Notation
     q      (J,) joint values [rad or m], in the order of ``joint_names``
@@ -17,8 +17,10 @@ from pathlib import Path
 import numpy as np
 
 from robot import inverse, kinematics
+from robot.gait import Walk, walk
 from robot.inverse import NoSolution, Tool
 from robot.kinematics import FIXED, POSE, POSITION, PRISMATIC, REVOLUTE, Tree
+from robot.legs import Legs
 from robot.urdf import MOVING, Urdf
 from scene.files import read_yaml
 
@@ -28,11 +30,13 @@ DEFAULT_VELOCITY, DEFAULT_ACCELERATION = 1.0, 2.5  # rad/s, rad/s^2 where neithe
 
 @dataclass(frozen=True, eq=False)
 class Gripper:
-    """joints: their names. open, closed (G,): their values [m or rad]."""
+    """joints: their names. open, closed (G,): their values [m or rad]. rest (3,): in the tip's frame, from a finger that does
+    not move to what lies on it, of length 1; 0 where both fingers move."""
 
     joints: tuple[str, ...]
     open: np.ndarray
     closed: np.ndarray
+    rest: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +44,8 @@ class Arm:
     """An arm standing at the origin of the base frame. Make one with ``load`` or ``from_urdf``.
 
     lower, upper [rad or m]; velocity [per s]; acceleration [per s^2]; home (J,): comfortable posture, where it starts.
-    gripper: its joints are held open where kinematics and collision are concerned.
+    gripper: its joints are held open where kinematics and collision are concerned. legs: of a robot that walks; the first
+    joints are then its trunk's place.
     """
 
     name: str
@@ -54,6 +59,7 @@ class Arm:
     home: np.ndarray
     tip_link: str
     gripper: Gripper
+    legs: Legs | None = None
 
     @classmethod
     def load(cls, name_or_path) -> "Arm":
@@ -98,13 +104,15 @@ class Arm:
         velocity=None,
         acceleration=None,
         gripper=None,
+        legs=None,
     ) -> "Arm":
         """Read an arm from a URDF file.
 
         urdf: path, or "pybullet_data:" or "robot:" and a path there. tip_link: the default is the end of the longest
         chain. home (J,) [rad], lower, upper, velocity, acceleration (J,): replace what the URDF says (home: the middle
-        of the range nearest zero). gripper: {joints: names, open: values, closed: values} [m or rad]; other joints off
-        the chain are held at the value nearest zero. Raises FileNotFoundError, or ValueError that says what is wrong.
+        of the range nearest zero). gripper: {joints: names, open: values, closed: values} [m or rad] and perhaps
+        rest, see Gripper; other joints off the chain are held at the value nearest zero. legs: {feet: names of links, ground: height of what they stand on [m],
+        room: boxes}, see Legs; what moves between the root and the trunk are then joints of the arm too. Raises FileNotFoundError, or ValueError that says what is wrong.
         """
         path = _resolve(urdf)
         description = Urdf.load(path)
@@ -136,6 +144,7 @@ class Arm:
             start,
             tip,
             _gripper(gripper, description, names, path.name),
+            Legs.from_urdf(description, **legs) if legs else None,
         )
 
     @cached_property
@@ -152,6 +161,12 @@ class Arm:
     def fingers(self) -> dict[str, float]:
         """{joint of the gripper: value when open}."""
         return dict(zip(self.gripper.joints, self.gripper.open.tolist()))
+
+    @property
+    def beside_hand(self) -> tuple[str, ...]:
+        """The links that can move against the tip: all but the hand's."""
+        rigid = self.tree.rigid_groups
+        return tuple(name for name, group in zip(self.link_names, rigid) if group != rigid[self.link_names.index(self.tip_link)])
 
     @property
     def link_names(self) -> tuple[str, ...]:
@@ -198,11 +213,18 @@ class Arm:
         """PyBullet's indices of the fingers' joints, in the order of ``fingers``."""
         return tuple(self._numbering[name] for name in self.fingers)
 
+    @property
+    def leg_indices(self) -> tuple[int, ...]:
+        """PyBullet's indices of the legs' joints."""
+        return tuple(self._numbering[name] for name in self.legs.joints) if self.legs else ()
+
     def spawn(self, client) -> int:
         """Put the robot at the origin of the client's world, fixed, at home, fingers open. Returns the body's id."""
         body = client.loadURDF(str(self.urdf), [0, 0, 0], [0, 0, 0, 1], useFixedBase=True)
         values = zip((*self.joint_indices, *self.finger_indices), (*self.home, *self.fingers.values()))
         for index, value in values:
+            client.resetJointState(body, index, float(value))
+        for index, value in zip(self.leg_indices, self.walk([0.0], self.home[None]).joints[0] if self.legs else ()):
             client.resetJointState(body, index, float(value))
         return body
 
@@ -217,6 +239,10 @@ class Arm:
     def link_poses(self, q) -> np.ndarray:
         """q (N, J) -> base_from_link (N, L, 4, 4) of all links, in the order of ``link_names``."""
         return self.tree.poses(np.atleast_2d(self._joints(q)))
+
+    def walk(self, times, q) -> Walk:
+        """How the legs go along with q (T, J) at times (T,) [s]. Raises NoSolution where they cannot."""
+        return walk(self.legs, times, self.link_poses(q)[:, self.link_names.index(self.legs.trunk)])
 
     def jacobian(self, q) -> np.ndarray:
         """Geometric Jacobian (6, J) of the tip in the base frame: linear velocity above angular velocity."""
@@ -321,15 +347,15 @@ def _resolve(urdf) -> Path:
 
 def _gripper(given, description, arm_joints, file) -> Gripper:
     given = given or {"joints": (), "open": (), "closed": ()}
-    if set(given) != {"joints", "open", "closed"}:
-        raise ValueError(f"{file}: a gripper has joints, open and closed, not {', '.join(given)}")
+    if not {"joints", "open", "closed"} <= set(given) <= {"joints", "open", "closed", "rest"}:
+        raise ValueError(f"{file}: a gripper has joints, open and closed, and perhaps rest, not {', '.join(given)}")
     moving = [joint.name for joint in description.joints.values() if joint.kind in MOVING]
     known = [name for name in moving if name not in arm_joints]
     for name in given["joints"]:
         if name not in known:
             raise ValueError(f"{file}: the gripper's joint {name} is none of {', '.join(known) or 'no joint'}")
     values = (_vector(given[key], None, len(given["joints"]), f"the gripper's {key}") for key in ("open", "closed"))
-    return Gripper(tuple(given["joints"]), *values)
+    return Gripper(tuple(given["joints"]), *values, _vector(given.get("rest"), [0, 0, 0], 3, "the gripper's rest"))
 
 
 def _vector(given, otherwise, count, what) -> np.ndarray:

@@ -7,7 +7,8 @@ import numpy as np
 
 from robot.arm import Arm, NoSolution
 from robot.collision import ITSELF, WORLD, CollisionModel
-from robot.postures import Profile, end_profiles, path_to, taught_profile
+from robot.inverse import Tool
+from robot.postures import Profile, end_profiles, path_to, taught_profile, tool_profiles
 
 RESOLUTION = 1e-3  # m, to which clearances between waypoints are known
 CAP = 0.1  # m: clearances beyond this are not told apart here
@@ -32,14 +33,15 @@ class Attempt:
 
     @property
     def rank(self) -> tuple:
-        """Better is larger: feasible, then how much of the path could be followed, then clearance."""
-        return not self.refusal, len(self.path), self.clearance
+        """Better is larger: feasible, then with the hand turned early, how much of the path could be followed, clearance."""
+        turning = self.profile.turning if self.profile and not self.refusal else 0.0
+        return not self.refusal, -turning, len(self.path), self.clearance
 
 
 @dataclass(frozen=True, eq=False)
 class Search:
     """For each candidate the best attempt. start (J,). margin: least clearance [m]. comfortable: a larger one is not
-    looked for [m]. postures: end postures tried on the mean."""
+    looked for [m]. postures: end postures tried on the mean. tool: how the hand is to be turned."""
 
     arm: Arm
     model: CollisionModel
@@ -47,6 +49,7 @@ class Search:
     margin: float
     comfortable: float
     postures: int
+    tool: Tool = Tool()
 
     def all(self, candidates, orientation=None) -> list[Attempt]:
         """Candidates (S, N, 3), the mean first; orientation: None or rows (t, quat_xyzw) that were taught.
@@ -59,7 +62,8 @@ class Search:
         mean, profiles = self.best(0, candidates[0], self._profiles(candidates[0], self.postures), np.inf)
         attempts, in_vain = [mean], 0
         for k, points in enumerate(candidates[1:], start=1):
-            attempt, _ = self.best(k, points, profiles[:SHARED_PROFILES], self.comfortable)
+            shared = self._profiles(points, OWN_POSTURES) if self.tool.kind == "tangent" else profiles
+            attempt, _ = self.best(k, points, shared[:SHARED_PROFILES], self.comfortable)
             if attempt.refusal and in_vain < OWN_TRIES:
                 own, _ = self.best(k, points, self._profiles(points, OWN_POSTURES), self.comfortable)
                 attempt = max(attempt, own, key=lambda a: a.rank)
@@ -68,6 +72,8 @@ class Search:
         return attempts
 
     def _profiles(self, points, count):
+        if self.tool.kind != "free":
+            return tool_profiles(self.arm, self.tool, points, self.start)
         return end_profiles(self.arm, self.model, points, self.start, count, self.margin)
 
     def best(self, index, points, profiles, enough) -> tuple[Attempt, list[Profile]]:
@@ -91,7 +97,8 @@ class Search:
 
     def _unreached(self, index, points) -> Attempt:
         end = ", ".join(f"{x:.3f}" for x in points[-1])
-        refusal = f"{title(index)}: at t = 1.00 no posture of the arm reaches the end ({end}) m"
+        turned = "" if self.tool.kind == "free" else f" with the hand {self.tool}"
+        refusal = f"{title(index)}: at t = 1.00 no posture of the arm reaches the end ({end}) m{turned}"
         return Attempt(index, points, self.start[None], None, -np.inf, refusal)
 
     def _screen(self, index, points, profile) -> Attempt:

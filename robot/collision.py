@@ -28,7 +28,7 @@ from robot import separation
 from robot.bounds import lower_bounds
 from robot.kinematics import PRISMATIC
 from robot.separation import TRUSTED, Solid, gap
-from robot.shapes import body_pieces, link_pieces, region_pieces
+from robot.shapes import body_pieces, box, link_pieces, region_pieces
 
 WORLD, ITSELF = 0, 1
 NEAR_AT_HOME = 0.01  # m: what is nearer in a comfortable posture is a matter of coarse geometry
@@ -48,8 +48,8 @@ class CollisionModel:
     """The arm among the bodies of a world, where they stand when this is made.
 
     arm: Arm. world: has ``client`` and ``bodies``, or None for the arm alone. regions: volumes in the world's frame
-    that the arm may not enter (teach.hull.Region); they count as bodies of the world. only: {region: names of links}, the
-    regions that bind those links alone. held: {body: posture (J,)} bodies of the world that the tip carries, grasped where
+    that the arm may not enter (teach.hull.Region); they count as bodies of the world. only: {region or body: names of
+    links}, those that bind these links alone. held: {body: posture (J,)} bodies of the world that the tip carries, grasped where
     they stand at that posture; what they rest on there (nearer than ``margin`` [m]) they may stay as near to, not nearer.
     ignored: further pairs of names that may touch. cap: larger clearances are not told apart [m].
 
@@ -62,9 +62,10 @@ class CollisionModel:
         bodies = body_pieces(world.client, world.bodies) if world is not None else []
         self._only, self._held = _checked(only or {}, held or {}, arm, bodies, regions)
         carried = [_carried(arm, piece, self._held[piece.name]) for piece in bodies if piece.name in self._held]
-        self.links, self.pieces = (tuple(column) for column in zip(*link_pieces(arm.description), *carried))
+        self.links, self.pieces = (tuple(column) for column in zip(*_arm_pieces(arm), *carried))
         self.surroundings = (*(piece for piece in bodies if piece.name not in self._held), *region_pieces(regions))
-        self._ignored = {frozenset(pair) for pair in ignored}
+        rooms = [(room["link"], arm.legs.trunk) for room in arm.legs.room] if arm.legs else []
+        self._ignored = {frozenset(pair) for pair in (*ignored, *rooms)}
         self._objects = [fcl.CollisionObject(piece.geometry) for piece in self.pieces]
         self._objects += [fcl.CollisionObject(p.geometry, _fcl_pose(p.frame_from_piece)) for p in self.surroundings]
         self._request = fcl.DistanceRequest(enable_nearest_points=True, enable_signed_distance=True)
@@ -245,7 +246,7 @@ class CollisionModel:
         self._turning = np.array([j not in slides for j in range(len(self.arm.joint_names))])
 
     def _world_pairs(self):
-        rigid = _rigid_groups(self.arm.tree)
+        rigid = self.arm.tree.rigid_groups
         moving = [a for a, link in enumerate(self.links) if rigid[link] != rigid[0]]
         names = self.names
         return [
@@ -267,7 +268,7 @@ class CollisionModel:
 
     def _choose_own_pairs(self):
         """Start from every pair of links that are not neighbours; drop those that (nearly) touch at home, or nearly always."""
-        rigid = _rigid_groups(self.arm.tree)
+        rigid = self.arm.tree.rigid_groups
         parents = {
             rigid[link]: rigid[self.arm.tree.parent[link]] for link in range(len(rigid)) if rigid[link] == link and link
         }
@@ -296,9 +297,19 @@ class CollisionModel:
         self._pairs = np.vstack([self._pairs, own])
 
 
+def _arm_pieces(arm) -> list:
+    """(index of the link, piece) of the arm; in place of legs, which step as the trunk goes, the room that holds them."""
+    if arm.legs is None:
+        return link_pieces(arm.description)
+    bodies = [(index, piece) for index, piece in link_pieces(arm.description) if piece.name not in arm.legs.links]
+    place = lambda room: np.block([[np.eye(3), np.array(room["position"], dtype=float)[:, None]], [np.zeros((1, 3)), 1.0]])
+    rooms = [(arm.link_names.index(room["link"]), box(room["link"], room["size"], place(room))) for room in arm.legs.room]
+    return bodies + rooms
+
+
 def _checked(only, held, arm, bodies, regions):
     """``only`` and ``held`` as they are; ValueError where they name what is not there."""
-    links, named = arm.link_names, {region.name for region in regions}
+    links, named = arm.link_names, {region.name for region in regions} | {piece.name for piece in bodies}
     for region, bound in only.items():
         unknown = [region] * (region not in named) or [link for link in bound if link not in links]
         if unknown:
@@ -324,15 +335,6 @@ def _keep_nearest(seen, who, owner, distance, pair):
     order = np.argsort(-distance, kind="stable")  # the last assignment wins
     order = order[distance[order] < seen[owner[order]]]
     seen[owner[order]], who[owner[order]] = distance[order], pair[order]
-
-
-def _rigid_groups(tree) -> np.ndarray:
-    """(L,) for each link the first link it cannot move against."""
-    groups = np.arange(len(tree.parent))
-    for link, parent in enumerate(tree.parent):
-        if parent >= 0 and tree.column[link] < 0:
-            groups[link] = groups[parent]
-    return groups
 
 
 def _reach(arm, corners) -> float:

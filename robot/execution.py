@@ -18,6 +18,7 @@ import av
 import numpy as np
 
 from robot import conditions
+from robot.gait import slipped
 from robot.simulated import STEP, Robot
 from robot.timing import motion_spline
 from scene.camera import Camera, look_at
@@ -27,7 +28,7 @@ AT_REST, PATIENCE = 0.01, 3.0  # m/s; s after the motion that are waited for thi
 STRIP = 6  # pictures of a filmstrip
 NO_FILM = np.zeros((0, 0, 0, 3), np.uint8)
 WORDS = ("names", "touched", "touched_by", "conditions", "said")
-NUMBERS = ("duration", "final_error", "success", "fps", "fastest")
+NUMBERS = ("duration", "final_error", "success", "fps", "fastest", "foot_slip")
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +40,8 @@ class Execution:
     order, with touched_by, the link that did, touched_at (C,) [s] and touch_depth (C,) [m], the deepest overlap. goal
     (3,) [m]: where the tip was to end (nan in a world without a goal). final_error [m]: from there, or else from the
     plan's end. conditions: names of the world's, with what was measured (K,), its bound (K,), whether each is met (K,)
-    and said, in words. fastest [m/s]: of all things. success: all are met. frames (F, H, W, 3) uint8 at ``fps``: the
+    and said, in words. fastest [m/s]: of all things. foot_slip [m]: the farthest that a foot moved while it stood, 0 without
+    legs. success: all are met. frames (F, H, W, 3) uint8 at ``fps``: the
     film, not kept by ``save``.
     """
 
@@ -62,6 +64,7 @@ class Execution:
     said: tuple[str, ...]
     fastest: float
     success: bool
+    foot_slip: float
     fps: float
     frames: np.ndarray
 
@@ -81,6 +84,7 @@ class Execution:
             "contacts": len(self.touched),
             "success": bool(self.success),
             "fastest_thing_m_s": float(self.fastest),
+            "foot_slip_mm": 1e3 * float(self.foot_slip),
             "conditions": {name: {"measured": float(value), "bound": float(bound), "met": bool(met)}
                            for name, value, bound, met in zip(self.conditions, self.measured, self.bounds, self.met)},
         }  # fmt: skip
@@ -116,7 +120,8 @@ class Execution:
             raise FileNotFoundError(f"no execution file {path}")
         try:
             with np.load(path, allow_pickle=False) as file:
-                values = {f.name: file[f.name] for f in fields(cls) if f.name != "frames"}
+                later = {"foot_slip": np.array(0.0)}  # earlier files have none
+                values = {f.name: file[f.name] if f.name in file else later[f.name] for f in fields(cls) if f.name != "frames"}
         except (ValueError, KeyError, EOFError, OSError, BadZipFile) as error:
             raise ValueError(f"{path} is not an execution file ({error}); robot.execute writes one") from None
         words = {name: tuple(values[name].tolist()) for name in WORDS}
@@ -137,9 +142,10 @@ def perform(plan, arm, world, *, events=(), camera=None, fps=12.5, width=480, he
     robot = Robot(arm, world.client, plan.joints[0])
     robot.take(world)
     motion, duration = motion_spline(plan.times, plan.joints), float(plan.times[-1])
-    wanted = lambda time: motion(min(time, duration))
+    legs = _legs(arm, motion, duration)
+    wanted = lambda time: np.concatenate([motion(min(time, duration)), legs(time)])
     coming = sorted(events, key=lambda event: event.time)
-    times, joints, tip, frames, touches, fastest = [], [], [], [], {}, 0.0
+    times, joints, tip, feet, frames, touches, fastest = [], [], [], [], [], {}, 0.0
     for time in _clock(duration, settle, world):
         if times:
             robot.step(wanted(times[-1]), wanted(time))
@@ -148,7 +154,7 @@ def perform(plan, arm, world, *, events=(), camera=None, fps=12.5, width=480, he
         _note_touches(touches, robot.touches(), world, time)
         fastest = max([fastest, *map(world.speed, world.movable)])
         state, position = robot.state()
-        times.append(time), joints.append(state), tip.append(position)
+        times.append(time), joints.append(state), tip.append(position), feet.append(robot.feet_down())
         if fps and len(frames) <= time * fps + 1e-9:
             frames.append(world.photograph(camera))
     times, joints, tip = np.array(times), np.array(joints), np.array(tip)
@@ -171,9 +177,19 @@ def perform(plan, arm, world, *, events=(), camera=None, fps=12.5, width=480, he
         tuple(v.said for v in verdicts),
         fastest,
         all(v.met for v in verdicts),
+        slipped(np.array(feet)),
         float(fps),
         np.array(frames) if frames else NO_FILM,
     )
+
+
+def _legs(arm, motion, duration):
+    """time [s] -> the legs' joints (3F,) then, none without legs. Raises NoSolution where they cannot go along."""
+    if arm.legs is None:
+        return lambda time: np.zeros(0)
+    times = np.arange(int(np.ceil(duration / STEP)) + 1) * STEP
+    joints = arm.walk(times, motion(np.minimum(times, duration))).joints
+    return lambda time: joints[min(round(time / STEP), len(joints) - 1)]
 
 
 def _clock(duration, settle, world) -> Iterator[float]:

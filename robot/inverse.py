@@ -19,6 +19,7 @@ from robot.kinematics import POINTED, POSE, POSITION
 POSITION_TOLERANCE, ROTATION_TOLERANCE = 1e-3, 1e-2  # m, rad
 LARGEST_STEP = 0.2  # rad between neighbours of a path; more is a jump to another branch
 STRETCHES, BEGINNINGS, BEAM = 8, 24, 10  # of a path; branches at its first waypoint; branches kept after each stretch
+CHORD = 0.02  # m
 APART = 0.3  # rad: postures nearer to each other than this are of one branch
 TOOLS = ("free", "kept", "pointed", "tangent")
 
@@ -57,6 +58,10 @@ class Tool:
         if not 0 <= self.tolerance < np.pi:
             raise ValueError(f"a tool's tolerance is an angle from 0 to pi, not {self.tolerance}")
 
+    def __str__(self):
+        axis = f" along ({', '.join(f'{x:.2f}' for x in self.axis)})" if self.kind == "pointed" else ""
+        return f"{self.kind}{' to the path' * (self.kind == 'tangent')}{axis}"
+
     def poses(self, points) -> tuple[np.ndarray, int]:
         """Points (T, 3) [m] -> poses (T, 4, 4) and which of their rows count."""
         poses, _ = path_poses(points)
@@ -66,10 +71,37 @@ class Tool:
         if self.kind == "free":
             return poses, POSITION
         tangent = self.kind == "tangent"
-        ahead = np.gradient(poses[:, :3, 3], axis=0) if tangent else np.broadcast_to(self.axis, (len(poses), 3))
+        ahead = _ahead(poses[:, :3, 3]) if tangent else np.broadcast_to(self.axis, (len(poses), 3))
         for pose, z in zip(poses, directions(ahead)):
             pose[:3, :3] = _with_z(z)
         return poses, POINTED
+
+
+def _ahead(points) -> np.ndarray:
+    """(T, 3) along a path (T, 3): chords from CHORD [m] of the way before to CHORD after, so that what wavers by a
+    millimetre does not turn the hand."""
+    way = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    last = len(points) - 1
+    before = np.searchsorted(way, way - CHORD, side="right") - 1
+    after = np.minimum(np.searchsorted(way, way + CHORD), last)
+    return points[np.maximum(after, np.arange(last + 1))] - points[np.clip(before, 0, None)]
+
+
+def tool_of(orientation, tolerance: float, present) -> Tool:
+    """The Tool that a setting means: None or "free", "keep" (as the hand is turned at ``present`` (3, 3)), "down",
+    "tangent", or an axis [x, y, z] that it points along. Raises ValueError for anything else."""
+    if orientation is None or isinstance(orientation, str):
+        kinds = {
+            None: {}, "free": {}, "tangent": {"kind": "tangent"}, "keep": {"kind": "kept", "rotation": np.asarray(present)},
+            "down": {"kind": "pointed", "axis": np.array([0.0, 0.0, -1.0])},
+        }  # fmt: skip
+        if orientation not in kinds:
+            raise ValueError(f"the hand's orientation is free, keep, down, tangent or an axis [x, y, z], not {orientation!r}")
+        return Tool(**kinds[orientation], tolerance=tolerance)
+    axis = np.array(orientation, dtype=float)
+    if axis.shape != (3,) or not np.isfinite(axis).all() or np.linalg.norm(axis) < 1e-9:
+        raise ValueError(f"the axis that the hand points along is three numbers with a direction, not {orientation}")
+    return Tool("pointed", axis=axis, tolerance=tolerance)
 
 
 def directions(ahead) -> np.ndarray:

@@ -46,6 +46,15 @@ class Tree:
         )
 
     @property
+    def rigid_groups(self) -> np.ndarray:
+        """(L,) for each link the first link it cannot move against."""
+        groups = np.arange(len(self.parent))
+        for link, parent in enumerate(self.parent):
+            if parent >= 0 and self.column[link] < 0:
+                groups[link] = groups[parent]
+        return groups
+
+    @property
     def arrays(self) -> tuple:
         """The fields as the compiled functions take them."""
         return self.parent, self.origin, self.axis, self.kind, self.column, self.held

@@ -23,7 +23,7 @@ from robot.approach import approach as approach_path
 from robot.attempt import RESOLUTION, Attempt, Search, swept_refusal, title
 from robot.collision import ITSELF, WORLD, CollisionModel
 from robot.deform import Moved, moved_mean
-from robot.inverse import NoSolution, branches, path_poses
+from robot.inverse import NoSolution, branches, path_poses, tool_of
 from robot.keepout import regions_of
 from robot.motion import Plan
 from robot.timing import time_path
@@ -51,17 +51,24 @@ def plan(
     outlined_for=None,
     held=(),
     approach=0.15,
+    orientation=None,
+    orientation_tolerance=0.0,
+    starts_within=0.0,
 ) -> Plan:
     """Choose, check and time a motion of the arm among the bodies of the world.
 
-    skill: Skill. arm: Arm. world: World (or anything with ``client`` and ``bodies``), None for free space. start (J,)
+    skill: Skill. arm: Arm. world: Obstacles of a World (or anything with ``client`` and ``bodies``; what it ``held`` moves
+    with the hand, what is to ``touch`` only the other links keep clear of), None for free space. start (J,)
     [rad]: the present posture (home). seed: of the samples. samples: candidates, the mean among them. waypoints: of
     each path. margin [m]: least clearance to anything. comfortable [m]: clearance beyond which more likely is better
     than more clear. postures: end postures tried on the mean. rate [Hz]: samples of the plan. moved [m]: how far a mean
     that is refused may be moved at most, 0 for not at all. keep_out: boxes to keep out of, see keepout.py. outlined_for:
     the only links that must keep out of the regions that skill.keep_out outlines, all where it is None. held: bodies that
     the hand carries from the start. approach [m]: where the hand is farther from where the motion was taught to begin, it
-    goes there first; nearer, or where this is None, the motion is conditioned to begin at the hand.
+    goes there first; nearer, or where this is None, the motion is conditioned to begin at the hand. orientation: of the
+    hand, where the skill says none: None or "free", "keep", "down", "tangent", or an axis [x, y, z] that it points along;
+    kept within orientation_tolerance [rad] once the hand has turned there. starts_within [m]: the hand does not begin where
+    ``start`` has it but at random this near to there, to see what becomes of a motion from elsewhere.
     Regions are kept clear of as if they were bodies. The motion takes at least ``skill.duration``. Raises ValueError where
     the start itself is out of limits or too close to something, NoSolution where the beginning cannot be reached,
     SketchError where outlines bound no region.
@@ -69,14 +76,30 @@ def plan(
     if samples < 1 or waypoints < 2:
         raise ValueError(f"a plan needs at least 1 sample and 2 waypoints, not {samples} and {waypoints}")
     start = np.array(arm.home if start is None else start, dtype=float)
+    held = [*held, *getattr(world, "held", ())]
+    if starts_within > 0:
+        start = _elsewhere(arm, start, starts_within, seed, held)
     regions, only = regions_of(skill.keep_out, outlined_for, keep_out)
-    model = CollisionModel(arm, world, regions, only=only, held={name: start for name in held}, margin=margin)
+    held = dict.fromkeys(held, start)
+    only |= dict.fromkeys(getattr(world, "touch", ()), arm.beside_hand)
+    model = CollisionModel(arm, world, regions, only=only, held=held, margin=margin)
     _check_start(arm, model, start, margin)
-    lead = None if held or approach is None else _lead(skill, arm, model, start, approach, margin, rate, seed)
+    tool = tool_of(skill.hand or orientation, orientation_tolerance, arm.fk(start)[:3, :3])
+    lead = None if approach is None else _lead(skill, arm, model, start, approach, margin, rate, seed)
     begin = start if lead is None else lead.joints[-1]
-    search = Search(arm, model, begin, margin, comfortable, postures)
+    search = Search(arm, model, begin, margin, comfortable, postures, tool)
     motion = _motion(skill, search, samples, waypoints, seed, rate, moved)
     return motion if lead is None else motion.after(lead, arm.velocity, arm.acceleration)
+
+
+def _elsewhere(arm, start, within, seed, held) -> np.ndarray:
+    """A posture whose tip is at random, evenly within a ball, near to where ``start`` has it."""
+    if held:
+        raise ValueError(f"a hand that holds {', '.join(held)} begins where it took that: leave robot.planner.starts_within at 0")
+    rng, pose = np.random.default_rng([seed, 1]), arm.fk(start)
+    away = rng.normal(size=3)
+    pose[:3, 3] += within * rng.uniform() ** (1 / 3) * away / np.linalg.norm(away)
+    return arm.ik(pose, start=start, position_only=True)
 
 
 def _lead(skill, arm, model, start, approach, margin, rate, seed) -> Plan | None:
@@ -219,6 +242,11 @@ def _untimely(arm, model, attempt, duration, rate) -> _Timed:
 
 def _timed_refusal(model, timed, index, margin) -> str:
     """The last check, on the motion as it will be performed."""
+    if model.arm.legs:
+        try:
+            model.arm.walk(timed.times, timed.joints)
+        except NoSolution as error:
+            return f"{title(index)}: the legs cannot follow: {error}"
     worst = int(timed.position_error.argmax())
     t, error = timed.waypoint[worst], timed.position_error[worst]
     if error > POSITION_TOLERANCE:

@@ -4,11 +4,14 @@ The taught motion fixes where the tip is, not how it is turned. A *profile* fill
 schedule 0 -> 1 by which the arm changes from its start posture to it. In between, the posture is the one nearest to the
 straight line in joint space between both among those whose tip is on the path, so that hand and elbow turn smoothly.
 
+Where the hand's orientation is asked for (Tool), it turns there from how it is within the first of TURNINGS of the path
+that the arm can follow, and the profile fills what is left: the roll about the axis, or nothing.
+
 End postures have the tip's z axis (the approach axis) tilted from straight down towards horizontal, along the heading
 at the path's end and away from the base, at all rolls about it; one more keeps the present orientation, one is free.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -16,9 +19,12 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from robot.arm import Arm, NoSolution
 from robot.collision import WORLD
+from robot.inverse import LARGEST_STEP, POSITION_TOLERANCE, ROTATION_TOLERANCE, Tool, follow
+from robot.kinematics import POINTED, POSE
 
 TILTS = np.radians([0, 30, 60, 90])
 ROLLS = np.radians([0, 45, 90, 135, 180, 225, 270, 315])
+TURNINGS = (0.35, 0.7)  # shares of the path within which the hand comes to be turned as it is asked to; the later if it must
 SCHEDULES = {"evenly": lambda t: t, "early": lambda t: np.clip(t / 0.6, 0, 1) ** 2 * (3 - 2 * np.clip(t / 0.6, 0, 1))}
 
 
@@ -27,14 +33,17 @@ class Profile:
     """end (J,): the posture at the path's end. schedule: a name of SCHEDULES. free: the end's orientation does not
     matter.
 
-    turned: orientations (T, 3, 3) of the tip along the path where they are taught; the posture is then the one nearest
-    to ``end``.
+    turned: orientations (T, 3, 3) of the tip along the path where they are taught or asked for, of which ``rows`` count
+    (kinematics.py) but for ``slack`` [rad]. turning: share of the path within which it turns there.
     """
 
     end: np.ndarray
     schedule: str = "evenly"
     free: bool = False
     turned: np.ndarray | None = None
+    rows: int = POSE
+    slack: float = 0.0
+    turning: float = 0.0
 
 
 def heading(points) -> np.ndarray:
@@ -74,6 +83,43 @@ def taught_profile(arm: Arm, orientation, start, count) -> Profile:
     return Profile(arm.home, turned=turned.as_matrix())
 
 
+def tool_profiles(arm: Arm, tool: Tool, points, start) -> list[Profile]:
+    """Profiles along a path (T, 3) on which the hand is turned as ``tool`` says; none where it cannot be at the end."""
+    poses, rows = tool.poses(points)
+    rolls = ROLLS if rows == POINTED else ROLLS[:1]
+    about = Rotation.from_euler("z", rolls[:, None]).as_matrix()
+    found = [_reachable(arm, points[-1], poses[-1, :3, :3] @ R, start) for R in about]
+    ends = []
+    for q in sorted((q for q in found if q is not None), key=lambda q: np.abs(q - start).max()):
+        if all(np.abs(q - other).max() > 0.1 for other in ends):
+            ends.append(q)
+    eased = {turning: _eased(arm.fk(start)[:3, :3], poses[:, :3, :3], rows, turning) for turning in TURNINGS}
+    return [
+        Profile(q, name, turned=eased[turning], rows=rows, slack=tool.tolerance, turning=turning)
+        for turning, q, name in product(TURNINGS, ends, SCHEDULES)
+    ]
+
+
+def _eased(present, turned, rows, turning) -> np.ndarray:
+    """Orientations (T, 3, 3) that begin at ``present`` (3, 3) and are those of ``turned`` (T, 3, 3) after ``turning``."""
+    share = np.clip(np.linspace(0, 1, len(turned)) / turning, 0, 1)
+    share = share**2 * (3 - 2 * share)
+    if rows == POINTED:  # the shortest way there leaves the roll about z as it is
+        vectors = np.array([_between(present[:, 2], R[:, 2]) for R in turned])
+    else:
+        vectors = Rotation.from_matrix(turned @ present.T).as_rotvec()
+    return Rotation.from_rotvec(share[:, None] * vectors).as_matrix() @ present
+
+
+def _between(a, b) -> np.ndarray:
+    """The shortest rotation vector (3,) [rad] from unit vector a to b."""
+    across = np.cross(a, b)
+    if np.linalg.norm(across) < 1e-9:
+        across = np.cross(a, np.eye(3)[np.abs(a).argmin()]) * (a @ b < 0)
+    length = max(np.linalg.norm(across), 1e-12)
+    return across / length * np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b)
+
+
 def end_profiles(arm: Arm, model, points, start, count, margin) -> list[Profile]:
     """Up to ``count`` end postures of a path (T, 3), those farthest from the world first, and the free one last.
 
@@ -111,10 +157,16 @@ def path_to(arm: Arm, points, start, profile: Profile) -> np.ndarray:
     if profile.turned is not None:
         poses = np.tile(np.eye(4), (len(points), 1, 1))
         poses[:, :3, :3], poses[:, :3, 3] = profile.turned, points
-        return _from(start, arm.follow(poses, start=start, rest=profile.end))
+        tolerances = POSITION_TOLERANCE, ROTATION_TOLERANCE, LARGEST_STEP, profile.slack
+        return _from(start, follow(arm, poses, profile.rows, start, _drawn(profile, start, len(points)), 0.5, *tolerances))
     end = profile.end if profile.free else _moved_end(arm, points, profile)
-    rest = start + (end - start) * SCHEDULES[profile.schedule](np.linspace(0, 1, len(points)))[:, None]
+    rest = _drawn(replace(profile, end=end), start, len(points))
     return _from(start, arm.follow(points, start=start, rest=rest, gain=0.8))
+
+
+def _drawn(profile, start, count) -> np.ndarray:
+    """(T, J) from the start to the profile's end by its schedule."""
+    return start + (profile.end - start) * SCHEDULES[profile.schedule](np.linspace(0, 1, count))[:, None]
 
 
 def _from(start, path) -> np.ndarray:

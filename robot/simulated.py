@@ -13,6 +13,7 @@ STEP = 1 / 240  # s, PyBullet's own
 TOUCHING = 1e-4  # m; contacts further apart than this are warnings of Bullet's margin, not touches
 POSITION_GAIN = 0.3  # share of the position error that is corrected in a step
 UNLIMITED = 1e3  # N m or N, where the URDF allows no effort at all
+UPRIGHT = 0.7  # cosine: what a foot presses on from above it stands on
 GRIP = 1.2  # friction of what holds things: rubber
 
 
@@ -21,22 +22,24 @@ class Robot:
 
     def __init__(self, arm, client, start):
         self.client, self.body = client, arm.spawn(client)
-        self.joints, self.fingers = list(arm.joint_indices), list(arm.finger_indices)
-        for joint, value in zip(self.joints, start):
+        self.joints, self.legs, self.fingers = list(arm.joint_indices), list(arm.leg_indices), list(arm.finger_indices)
+        legs = arm.walk([0.0], np.array(start)[None]).joints[0] if arm.legs else ()
+        for joint, value in zip(self.joints + self.legs, (*start, *legs)):
             client.resetJointState(self.body, joint, float(value))
         info = [client.getJointInfo(self.body, index) for index in range(client.getNumJoints(self.body))]
         self.links = [entry[12].decode() for entry in info]
         self.tip = self.links.index(arm.tip_link)
+        self.feet = [self.links.index(foot) for foot in arm.legs.feet] if arm.legs else []
         self.effort = {index: entry[10] or UNLIMITED for index, entry in enumerate(info)}
         self.open, self.closed = list(arm.gripper.open), list(arm.gripper.closed)
-        self.grip = self.open
+        self.grip, self.rest = self.open, arm.gripper.rest
         for finger in self.fingers:
             client.changeDynamics(self.body, finger, lateralFriction=GRIP)
         client.setTimeStep(STEP)
 
     def step(self, now, then) -> None:
-        """One step of the motors from where the plan is now (J,) to where it is ``then`` (J,)."""
-        self._drive(self.joints, now, (np.asarray(then) - now) / STEP)
+        """One step of the motors from where the plan is now (J,) to where it is ``then`` (J,), the legs' joints behind."""
+        self._drive(self.joints + self.legs, now, (np.asarray(then) - now) / STEP)
         self._drive(self.fingers, self.grip, np.zeros(len(self.fingers)))
         self.client.stepSimulation()
 
@@ -51,7 +54,7 @@ class Robot:
     def take(self, world) -> None:
         """What the world's file says is held is put between the fingers, and these close on it."""
         if world.spec.get("held"):
-            world.put_in_hand(self.body, self.tip)
+            world.put_in_hand(self.body, self.tip, self.rest)
             self.grip = self.closed
 
     def _drive(self, joints, positions, speeds) -> None:
@@ -71,4 +74,13 @@ class Robot:
         """(body, link, overlap [m]) of what the robot touches now; its fixed foot may stand on something."""
         self.client.performCollisionDetection()
         points = self.client.getContactPoints(bodyA=self.body)
-        return [(p[2], self.links[p[3]], -p[8]) for p in points if p[2] != self.body and p[3] >= 0 and p[8] < TOUCHING]
+        standing = lambda p: p[3] in self.feet and abs(p[7][2]) > UPRIGHT
+        return [(p[2], self.links[p[3]], -p[8]) for p in points
+                if p[2] != self.body and p[3] >= 0 and p[8] < TOUCHING and not standing(p)]  # fmt: skip
+
+    def feet_down(self) -> np.ndarray:
+        """(F, 3) [m] where the feet's centres are, nan for one that stands on nothing now."""
+        points = self.client.getContactPoints(bodyA=self.body)
+        down = {p[3] for p in points if p[2] != self.body and p[8] < TOUCHING}
+        place = lambda foot: self.client.getLinkState(self.body, foot, computeForwardKinematics=True)[4]
+        return np.array([place(foot) if foot in down else [np.nan] * 3 for foot in self.feet]).reshape(-1, 3)

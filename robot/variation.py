@@ -12,6 +12,7 @@ import copy
 
 import numpy as np
 
+from robot.letters import on_board
 from robot.standing import free
 from robot.thing import placed
 
@@ -21,6 +22,8 @@ REDRAWS = 200
 def varied(data: dict) -> dict:
     """The world as it is built: a copy, moved and turned under its seed. Raises ValueError where nothing fits."""
     data = copy.deepcopy(data)
+    if (data.get("motion") or {}).get("letter"):
+        data["motion"]["via"] += on_board(data["motion"]["letter"], data["motion"]["at"], data["motion"]["size"]).tolist()
     variation = data.get("variation") or {}
     if not data.get("seed") or not variation:
         return data
@@ -73,6 +76,11 @@ def _turned(data: dict, shift, yaw: float, stays) -> dict:
     if data.get("motion"):
         via = data["motion"]["via"]
         data["motion"]["via"] = [via[0], *map(moved, via[1:])]
+        if data["motion"].get("letter"):
+            data["motion"]["right"] = (turn @ [0.0, -1.0, 0.0]).tolist()
+        axis = data["motion"].get("orientation")
+        if isinstance(axis, list):
+            data["motion"]["orientation"] = (turn @ axis).tolist()
     if data.get("goal"):
         data["goal"]["approach"] = (turn @ data["goal"]["approach"]).tolist()
     for condition in (data.get("success") or {}).get("reached", []):

@@ -111,9 +111,9 @@ class World:
 
     @property
     def obstacles(self) -> "Obstacles":
-        """What a motion must keep clear of: all but what it is to touch."""
-        to_touch = self.spec.get("touch", [])
-        return Obstacles(self.client, {name: body for name, body in self.bodies.items() if name not in to_touch}, self.spec)
+        """What a motion must keep clear of; what it is to touch, all but the hand must."""
+        held = [self.spec["held"]["name"]] if self.spec.get("held") else []
+        return Obstacles(self.client, dict(self.bodies), self.spec, tuple(self.spec.get("touch", [])), tuple(n for n in held if n in self.bodies))
 
     # Building
 
@@ -163,16 +163,27 @@ class World:
 
     # What a hand holds
 
-    def bring_held(self, base_from_tip) -> None:
-        """What the file says is held comes into the world, where a hand at ``base_from_tip`` (4, 4) has it."""
-        with tempfile.TemporaryDirectory() as folder:
-            self._add(self.spec["held"], base_from_tip @ things.pose(self.spec["held"]), Path(folder))
+    def bring_held(self, arm, q) -> None:
+        """What the file says is held, if anything, comes into the world, where an arm at q (J,) has it."""
+        if self.spec.get("held"):
+            self._bring(arm.fk(q) @ self._in_hand(arm.gripper.rest))
 
-    def put_in_hand(self, robot: int, link: int) -> None:
-        """It comes into the world at the robot's link, fixed to that."""
+    def _in_hand(self, rest) -> np.ndarray:
+        """tip_from_held (4, 4): as the file says, and moved along ``rest`` (3,) by half its size, see arm.Gripper."""
+        tip_from_held = things.pose(self.spec["held"])
+        points = np.vstack([piece.corners() for piece in standing.thing_pieces(self.spec["held"])])
+        tip_from_held[:3, 3] += rest * np.max((points - tip_from_held[:3, 3]) @ -np.asarray(rest), initial=0)
+        return tip_from_held
+
+    def _bring(self, pose) -> None:
+        with tempfile.TemporaryDirectory() as folder:
+            self._add(self.spec["held"], pose, Path(folder))
+
+    def put_in_hand(self, robot: int, link: int, rest=(0.0, 0.0, 0.0)) -> None:
+        """It comes into the world at the robot's link, fixed to that, moved along ``rest`` (3,) as in ``bring_held``."""
         com, frame = (_matrix(*self.client.getLinkState(robot, link, computeForwardKinematics=True)[k : k + 2]) for k in (0, 4))
-        self.bring_held(frame)
-        com_from_held = np.linalg.inv(com) @ frame @ things.pose(self.spec["held"])
+        self._bring(frame @ self._in_hand(rest))
+        com_from_held = np.linalg.inv(com) @ frame @ self._in_hand(rest)
         quat_xyzw = Rotation.from_matrix(com_from_held[:3, :3]).as_quat().tolist()
         self._grip = self.client.createConstraint(robot, link, self.bodies[self.spec["held"]["name"]], -1, pybullet.JOINT_FIXED, [0, 0, 0],
                                                   com_from_held[:3, 3].tolist(), [0, 0, 0], quat_xyzw)  # fmt: skip
@@ -234,11 +245,14 @@ def _at_centres(depth: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Obstacles:
-    """A part of a world, for planning. client: BulletClient. bodies: {name: body id}. spec: the world's."""
+    """A world as planning knows it. client: BulletClient. bodies: {name: body id}. spec: the world's. touch: names of
+    what the hand may touch. held: of what it carries."""
 
     client: BulletClient
     bodies: dict[str, int]
     spec: dict
+    touch: tuple[str, ...] = ()
+    held: tuple[str, ...] = ()
 
 
 def skin(thing: dict, world: str) -> tuple[str, np.ndarray]:

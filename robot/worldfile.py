@@ -9,11 +9,15 @@
     workspace: {lower, upper}        the box [m] where motions happen
     view: {target, radius, elevation_deg, azimuth_deg}         what the photographs look at, and from where (photographs.py)
     sketch_views: [{eye, target, fov_deg}]         two to sketch on, one for evaluation
-    motion: {via, events, follow}    what a careful person means: points of the tool's tip [m], the first where the hand starts;
-                                     events [[name, share of the motion]]; how far each point follows the goal's object
+    motion: {via, events, follow, orientation}     what a careful person means: points of the tool's tip [m], the first where the hand starts;
+                                     events [[name, share of the motion]]; how far each point follows the goal's object;
+                                     letter, at, size [m]: written behind the via points, upright about the place ``at`` (letters.py);
+                                     how the hand is turned: free, keep, down, tangent or an axis [x, y, z]
     goal: {object, approach, distance}             the tip ends ``distance`` [m] before the object's centre along ``approach``
     success: {...}                   when the motion counts as done (conditions.py)
     variation: {shift [m], yaw_deg, things, stays} half ranges (variation.py)
+    mount: name                      the object that an arm stands on, "pedestal" if left out; a robot with legs does without (mounting.py)
+    stand: [x, y, yaw]               where the trunk of a robot with legs stands [m, deg]
     film: {eye, target, fov_deg}     where the performance is filmed from (optional)
 
 Frame: metres, z up, the robot's base. A mass of 0 is fixed. A tag lies with its picture's right along x, its top along y.
@@ -24,17 +28,21 @@ file has the child, ``lower`` and ``upper`` [m or rad] are from there.
 from importlib.resources import files
 from pathlib import Path
 
+import numpy as np
+
 from robot import conditions, thing
 from robot.fields import direction, known, mappings, near, positive, vector
+from robot.inverse import tool_of
+from robot.letters import letter
 from scene.files import read_yaml
 
 JOINTS = ("prismatic", "revolute")
 KEYS = {"name", "seed", "objects", "joints", "held", "touch", "tags", "workspace", "view", "sketch_views", "motion", "goal", "success",
-        "variation", "film"}  # fmt: skip
+        "variation", "film", "mount", "stand"}  # fmt: skip
 INSIDE = {
     "view": {"target", "radius", "elevation_deg", "azimuth_deg"},
     "workspace": {"lower", "upper"},
-    "motion": {"via", "events", "follow"},
+    "motion": {"via", "events", "follow", "orientation", "letter", "at", "size", "right"},
     "goal": {"object", "approach", "distance"},
     "variation": {"shift", "yaw_deg", "things", "stays"},
     "film": {"eye", "target", "fov_deg"},
@@ -92,6 +100,10 @@ def _check_objects(data: dict, where: str) -> set[str]:
         seen.add(one["name"])
     if held and not held[0].get("mass"):
         raise ValueError(f"{where}, held {held[0]['name']}: what is held needs a mass")
+    if data.get("mount") is not None and data["mount"] not in seen:
+        raise ValueError(f"{where}: mount {data['mount']!r} is not an object{near(data['mount'], seen)}")
+    if data.get("stand") is not None:
+        vector(data, "stand", 3, where)
     if not isinstance(data.get("touch", []), list):
         raise ValueError(f"{where}: touch must be a list of names, not {data['touch']!r}")
     return seen
@@ -153,6 +165,11 @@ def _check_motion(motion: dict, where: str) -> None:
         raise ValueError(f"{where}, motion: via must be at least two points, not {via!r}")
     for i, point in enumerate(via):
         vector({"via": point}, "via", 3, f"{where}, via point {i}")
+    tool_of(motion.get("orientation"), 0.0, np.eye(3))
+    if motion.get("letter") is not None:
+        letter(motion["letter"])
+        vector(motion, "at", 3, f"{where}, motion")
+        positive(motion, "size", 1, f"{where}, motion")
     if "follow" in motion:
         vector(motion, "follow", len(via), f"{where}, motion")
     if not isinstance(events, list) or not all(isinstance(event, list) and len(event) == 2 for event in events):

@@ -50,6 +50,35 @@ def choose(
     return Chosen(named, {name: camera.cropped(width // 2, height // 2) for name, camera in around.items()}, why)
 
 
+def around(
+    photographed: list[Camera],
+    eyes: list[dict] | None = None,
+    *,
+    count=2,
+    span_deg=60.0,
+    elevation_deg=35.0,
+    radius=1.6,
+    fov_deg=50.0,
+    width=640,
+    height=480,
+    field=None,
+    workspace=None,
+    orbit=0,
+) -> Chosen:
+    """``count`` views at one height, evenly over ``span_deg`` of a circle of ``radius`` [m] about what the first of ``eyes`` look at.
+
+    In the middle stands who looks from between the first two of them. field, workspace and orbit are not asked.
+    """
+    if not eyes or len(eyes) < 2:
+        raise ValueError("views around a world need its sketch_views, two of them: use scene/views=default")
+    target = np.mean([view["target"] for view in eyes[:2]], axis=0)
+    towards = np.mean([view["eye"] for view in eyes[:2]], axis=0) - target
+    azimuth = np.arctan2(towards[1], towards[0]) + np.radians(np.linspace(-span_deg / 2, span_deg / 2, count))
+    flat, up = radius * np.cos(np.radians(elevation_deg)), radius * np.sin(np.radians(elevation_deg))
+    ring = target + np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.full(count, up)], axis=1)
+    return Chosen(numbered(given([{"eye": eye, "target": target, "fov_deg": fov_deg} for eye in ring], width=width, height=height)), {})
+
+
 def suggested(suggest: Callable, sketch: Sequence) -> tuple[dict[str, Camera], tuple[str, ...]]:
     """Named cameras and why: the pair that ``suggest`` proposes and the view after it; or sketched views and the next."""
     if not sketch:

@@ -35,7 +35,7 @@ def test_every_option_composes_and_every_target_takes_its_settings(config, optio
     group, name = option.split("/", 1) if option.startswith("experiment/") else option.rsplit("/", 1)
     choice = f"{group}={name}"
     cfg = config(choice, *GIVEN.get(choice, []))
-    for node in targets(OmegaConf.masked_copy(cfg, ["user", "scene", "teach", "robot", "world"])):
+    for node in targets(OmegaConf.masked_copy(cfg, ["user", "scene", "teach", "robot", "world", "experiment", "seed"])):
         made = instantiate(node, _convert_="all")
         if callable(made) and hasattr(made, "func"):  # a function that waits for its arguments
             unknown = set(made.keywords) - set(inspect.signature(made.func).parameters)
@@ -103,16 +103,21 @@ def test_the_ablation_sweeps_over_all_its_steps_in_order(config):
     assert [int(step.split("_")[0]) for step in STEPS] == list(range(len(STEPS)))
 
 
-def test_the_ablation_goes_from_the_paper_to_the_default(config):
-    first, last = (config("experiment=ablation", f"+experiment/ablation={step}") for step in (STEPS[0], STEPS[-1]))
+DEFAULT = next(step for step in STEPS if step.endswith("_default"))
+
+
+def test_the_ablation_goes_from_the_paper_to_the_default_and_on_to_other_views(config):
+    first, default, *views = (config("experiment=ablation", f"+experiment/ablation={step}") for step in (STEPS[0], *STEPS[STEPS.index(DEFAULT) :]))
     assert taught(first) == taught(config("teach/rptl=paper"))
-    assert taught(last) == taught(config())
+    assert all(taught(cfg) == taught(config()) for cfg in (default, *views))
+    assert (default.user.held_out, [cfg.user.held_out for cfg in views]) == ("view3", [None, None])
+    assert [cfg.hydra.runtime.choices["scene/views"] for cfg in (default, *views)] == ["default", "default", "suggested"]
 
 
-@pytest.mark.parametrize("before, after", list(zip(STEPS, STEPS[1:])))
+@pytest.mark.parametrize("before, after", list(zip(STEPS, STEPS[1 : STEPS.index(DEFAULT) + 1])))
 def test_each_step_of_the_ablation_is_the_one_before_and_one_setting(config, before, after):
     (a, chosen_a), (b, chosen_b) = (taught(config(f"experiment=ablation/{step}")) for step in (before, after))
-    if after == STEPS[-1]:
+    if after == DEFAULT:
         assert chosen_a == chosen_b and a != b  # the option teach/rptl=default: robust, routes, periodic
         return
     rptl = [key for key in a["rptl"] | b["rptl"] if a["rptl"].get(key) != b["rptl"].get(key)]

@@ -2,6 +2,7 @@
 
 import csv
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,9 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from conf import gallery, table
+from conf import gallery, growth, short, table
 from conf.results import JobResult, Results, Row, collect, interval, markdown, paired
 
+ROOT = Path(__file__).parents[1]
 SPEC = {"over": ["seed"], "columns": {"MFD": ["teach.mfd", 100], "success": ["execute.success", 1]}, "rows": {}, "objective": None}
 
 
@@ -76,7 +78,7 @@ def test_what_is_missing_or_mixed_is_said(tmp_path):
     job(tmp_path, 3, ["seed=3"], {"teach": {"mfd": float("nan")}, "execute": {"success": True}}, git="def")
     said = markdown(collect([tmp_path]))
     assert "2 of 4 jobs finished" in said and "1 (seed=1): failed, it broke" in said and "2 (seed=2): did not come to its end" in said
-    assert "2 versions of the code" in said and "MFD: 1 jobs have no figure" in said and "success: 1 jobs" in said
+    assert "2 (seed=2): did not come to its end, killed" in said and "2 versions of the code" in said and "MFD: 1 jobs have no figure" in said and "success: 1 jobs" in said
 
 
 def test_several_sweeps_make_one_table(tmp_path):
@@ -100,11 +102,76 @@ def test_an_empty_or_foreign_folder_is_refused(tmp_path, capsys):
     assert table.main([str(tmp_path)]) == 2 and "no job of a sweep" in capsys.readouterr().err
     assert table.main([str(tmp_path / "absent")]) == 2 and "there is no folder" in capsys.readouterr().err
     (tmp_path / "0").mkdir()
-    (tmp_path / "0" / "status.json").write_text("not json")
-    assert table.main([str(tmp_path)]) == 2 and "status.json" in capsys.readouterr().err
+    for foreign in ("not json", "[]", "{}", '"text"'):
+        (tmp_path / "0" / "status.json").write_text(foreign)
+        assert table.main([str(tmp_path)]) == 2 and "status.json" in capsys.readouterr().err
+    (tmp_path / "0" / "status.json").write_text('{"state": "finished"}')
+    (tmp_path / "0" / "metrics.json").write_text("[1]")
+    assert table.main([str(tmp_path)]) == 2 and "metrics.json holds no figures" in capsys.readouterr().err
 
 
 def test_names_from_outside_are_escaped_in_the_page(tmp_path):
     named = JobResult(tmp_path / "0", "failed", "<script>alert(1)</script>", {"seed": "<b>"}, {}, None, None)
     page = gallery.write(Results((named,), ("seed",), {}, {}), tmp_path).read_text()
     assert "<script>alert" not in page and "&lt;script&gt;" in page
+
+
+def test_figures_that_are_not_finite_are_left_out_of_everything(tmp_path):
+    for i, value in enumerate((1.0, float("nan"), float("inf"), 3.0)):
+        job(tmp_path, i, [f"seed={i}", f"teach.noise={i}"], {"teach": {"mfd": value}, "execute": {"success": 1}})
+    assert table.main([str(tmp_path)]) == 0
+    said = (tmp_path / "table.md").read_text()
+    assert "2 jobs have no figure, or not a finite one" in said and "nan ±" not in said and "inf" not in said.replace("finite", "")
+
+
+@given(st.floats(-3, 3), st.floats(0.1, 10))
+def test_a_power_law_has_its_exponent(b, a):
+    x = np.array([1.0, 3, 10, 40])
+    fitted, half = growth.exponent(x, a * x**b)
+    assert fitted == pytest.approx(b, abs=1e-9) and half < 1e-6
+
+
+def test_growth_is_told_of_the_setting_of_numbers_where_it_is_asked_for(tmp_path):
+    spec = SPEC | {"columns": {"fit, s": ["teach.seconds", 1]}, "growth": True}
+    for i in range(8):
+        job(tmp_path, i, [f"user.strokes={2**(i // 2)}", f"seed={i % 2}"], {"teach": {"seconds": 0.5 * 4.0 ** (i // 2)}}, spec=spec)
+    assert list(growth.said(collect([tmp_path]))) == ["fit, s grows as user.strokes^2.00 (± 0.00): 0.5 at 1, 32 at 8"]
+
+
+SHORT = SPEC | {"columns": {"MFD": ["teach.mfd", 100], "WD": ["teach.wd", 100]}, "rows": {"learned": "", "oracle": "oracle_"}, "across": ["world"],
+                "published": {"the paper": {"box": "3.9 / 2.9"}}}  # fmt: skip
+
+
+def swept(folder):
+    """Two methods on two worlds, two seeds each."""
+    for i, (method, world, seed) in enumerate((m, w, s) for m in ("default", "paper") for w in ("table", "box") for s in (0, 1)):
+        figures = {"mfd": 0.02 + 0.01 * seed + 0.1 * (method == "paper"), "wd": 0.05, "oracle_mfd": 0.01, "oracle_wd": 0.01}
+        job(folder, i, [f"teach/rptl={method}", f"world={world}", f"seed={seed}"], {"teach": figures}, spec=SHORT, sketches=f"{world}{seed}")
+    return collect([folder])
+
+
+def test_in_the_short_form_worlds_stand_side_by_side(tmp_path):
+    lines = short.markdown(swept(tmp_path)).splitlines()
+    assert lines[0] == "| MFD / WD | table | box |" and lines[-1] == "| the paper |  | 3.9 / 2.9 |"
+    assert lines[2] == "| default, learned | 2.5 ± 0.7 / 5.0 ± 0.0 | 2.5 ± 0.7 / 5.0 ± 0.0 |"
+    assert [line.split("|")[1].strip() for line in lines[2:]] == ["default, learned", "oracle", "paper, learned", "the paper"]
+
+
+def test_what_is_kept_makes_the_same_table_in_the_readme(tmp_path):
+    results = swept(tmp_path / "runs")
+    short.keep(results, tmp_path / "docs" / "table1.json")
+    table_again = short.markdown(short.kept(tmp_path / "docs" / "table1.json"))
+    assert table_again == short.markdown(results)
+    readme = tmp_path / "README.md"
+    for old in ("", "| old |\n"):
+        readme.write_text(f"before\n<!-- table1 -->\n{old}<!-- end -->\nafter\n")
+        assert short.write_readme(readme, "table1", table_again) and not short.write_readme(readme, "other", table_again)
+        assert readme.read_text() == f"before\n<!-- table1 -->\n{table_again}\n<!-- end -->\nafter\n"
+
+
+KEPT = sorted((ROOT / "docs" / "results").glob("*.json"))
+
+
+@pytest.mark.parametrize("path", KEPT, ids=lambda path: path.stem)
+def test_the_readmes_tables_are_those_of_the_kept_results(path):
+    assert short.in_readme((ROOT / "README.md").read_text(encoding="utf-8"), path.stem) == short.markdown(short.kept(path))

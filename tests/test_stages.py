@@ -2,6 +2,7 @@
 
 import json
 
+import numpy as np
 import pytest
 from omegaconf import OmegaConf
 
@@ -115,3 +116,23 @@ def test_written_json_is_whole(tmp_path):
     stages.write_json(tmp_path / "a.json", {"a": 1.5})
     assert json.loads((tmp_path / "a.json").read_text()) == {"a": 1.5}
     assert [path.name for path in tmp_path.iterdir()] == ["a.json"]
+
+
+def test_a_scene_takes_from_the_one_beside_it_what_is_the_same_there(tmp_path):
+    stage, built = counting(shared=True)
+    first, second, third = (Job(here.cfg, tmp_path / "data" / name, here.run) for name, here in
+                            (("a", job(tmp_path, 0)), ("b", job(tmp_path, 1)), ("c", job(tmp_path, 2, size=2))))  # fmt: skip
+    stages.run(stage, first, {})
+    assert stages.run(stage, second, {}).reused and (second.capture / "result.txt").read_text() == "1"
+    assert not stages.run(stage, third, {}).reused and len(built) == 2
+
+
+def test_the_memory_of_a_stage_is_its_own(tmp_path):
+    def build(size):
+        def grows(job, out):
+            return {"sum": float(np.ones(size).sum())}
+
+        return grows
+
+    large, small = (stages.run(Stage(name, build(size), ()), job(tmp_path, size), {}) for name, size in (("large", 40_000_000), ("small", 10)))
+    assert large.peak_mb - small.peak_mb > 250

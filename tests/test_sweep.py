@@ -76,7 +76,7 @@ def test_a_killed_sweep_goes_on_with_what_is_missing(launch, tmp_path):
     (tmp_path / "kill2").unlink()
     result = launch("-m", "seed=0,1,2,3")
     assert result.returncode == 0 and "going on with" in result.stdout
-    assert began(tmp_path) == ["0", "1", "2", "2", "3"]
+    assert "was killed when it ran last" in result.stdout and began(tmp_path) == ["0", "1", "2", "2", "3"]
     (sweep,) = sweeps(tmp_path)
     assert "4 of 4 jobs finished" in (sweep / "table.md").read_text()
 
@@ -121,16 +121,28 @@ def test_two_of_the_same_command_do_not_share_a_folder(launch, tmp_path):
     assert json.loads((sweep / "sweep.json").read_text())["state"] == "stopped"
 
 
-def test_joblib_runs_the_same_jobs_with_the_same_results(launch, tmp_path):
-    pytest.importorskip("hydra_plugins.hydra_joblib_launcher")
+@pytest.mark.parametrize("launcher", ["joblib", pytest.param("submitit", marks=pytest.mark.slow), pytest.param("ray", marks=pytest.mark.slow)])
+def test_a_launcher_has_the_basic_one_s_results_and_says_if_a_job_was_killed(launch, tmp_path, launcher):
+    pytest.importorskip(f"hydra_plugins.hydra_{launcher}_launcher")
+    options = {"joblib": ["joblib", "hydra.launcher.n_jobs=2"], "submitit": ["submitit_local"], "ray": ["ray", "+hydra.launcher.ray.init.num_cpus=2"]}
+    first, *more = options[launcher]
     (tmp_path / "kill2").touch()
-    killed = launch("-m", "seed=0,1,2", "hydra/launcher=joblib", "hydra.launcher.n_jobs=2")
-    assert killed.returncode == 2 and "killed" in killed.stderr and "Traceback" not in killed.stderr, killed.stderr
+    killed = launch("-m", "seed=0,1,2", f"hydra/launcher={first}", *more)
+    assert killed.returncode == 2 and "error: the process of a job was killed" in killed.stderr and "Traceback" not in killed.stderr, killed.stderr
     (tmp_path / "kill2").unlink()
-    assert launch("-m", "seed=0,1,2", "hydra/launcher=joblib", "hydra.launcher.n_jobs=2").returncode == 0
+    assert launch("-m", "seed=0,1,2", f"hydra/launcher={first}", *more).returncode == 0
     assert launch("-m", "seed=0,1,2").returncode == 0
     parallel, serial = sweeps(tmp_path)
     assert (parallel / "table.md").read_text() == (serial / "table.md").read_text()
+
+
+def test_slurm_where_there_is_none_is_said(launch, tmp_path):
+    from shutil import which
+
+    if which("srun"):
+        pytest.skip("SLURM is installed")
+    asked = launch("-m", "seed=0,1", "hydra/launcher=submitit_slurm")
+    assert asked.returncode == 2 and "no srun" in asked.stderr and "Traceback" not in asked.stderr and not (tmp_path / "runs").exists()
 
 
 def test_a_job_that_is_repeated_agrees_or_says_what_differs(launch, tmp_path):
@@ -152,6 +164,15 @@ def test_figures_go_to_tensorboard(launch, tmp_path):
     events = EventAccumulator(str(folder))
     events.Reload()
     assert events.Scalars("teach.mfd")[0].value == pytest.approx(0.025)
+
+
+def test_figures_go_to_mlflow(launch, tmp_path):
+    mlflow = pytest.importorskip("mlflow")
+    result = launch("seed=3", "tracking=mlflow")
+    assert result.returncode == 0, result.stderr
+    client = mlflow.MlflowClient(f"sqlite:///{tmp_path}/runs/mlflow.db")
+    (run,) = client.search_runs([experiment.experiment_id for experiment in client.search_experiments()])
+    assert run.info.status == "FINISHED" and run.data.metrics["teach.mfd"] == pytest.approx(0.025) and run.data.params["seed"] == "3"
 
 
 def test_a_tracker_that_is_not_installed_is_said_before_the_job(launch, tmp_path):

@@ -100,3 +100,15 @@ def test_what_was_sketched_stays_and_the_next_view_joins_it():
     chosen = views.choose(photographed, suggest=proposing(calls), sketch=drawn, orbit=0)
     assert list(chosen.sketch) == ["view1", "view3", "view4"] and chosen.sketch["view4"] is photographed[2]
     assert calls[0][:2] == (2, 2)
+
+
+def test_views_around_span_what_is_asked_at_one_height_and_distance():
+    eyes = [{"eye": [-1.0, 0.9, 1.2], "target": [0.5, 0, 0.3]}, {"eye": [-1.0, -0.9, 1.2], "target": [0.5, 0, 0.3]}]
+    cameras = list(views.around([], eyes, count=4, span_deg=90, elevation_deg=30, radius=1.5).sketch.values())
+    offsets = np.array([camera.centre for camera in cameras]) - [0.5, 0, 0.3]
+    np.testing.assert_allclose(np.linalg.norm(offsets, axis=1), 1.5)
+    np.testing.assert_allclose(offsets[:, 2], 0.75)
+    np.testing.assert_allclose(np.diff(np.degrees(np.arctan2(offsets[:, 1], offsets[:, 0])) % 360), 30)
+    assert np.degrees(np.arctan2(*offsets.mean(0)[1::-1])) % 360 == pytest.approx(180)
+    with pytest.raises(ValueError, match="sketch_views"):
+        views.around([], None)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from scene.field.volume import composite, contract, median_depth, opacity, psnr
+from scene.field.volume import composite, contract, median_depth, opacity, psnr, ssim
 
 
 def slab(sigma, length, samples=200):
@@ -46,3 +46,16 @@ def test_psnr_of_pictures_that_differ_by_a_tenth_is_twenty():
     assert psnr(a, a + 0.1) == pytest.approx(20)
     with pytest.raises(ValueError, match="one shape"):
         psnr(a, a[:2])
+
+
+def test_structural_similarity_is_one_of_equal_pictures_and_knows_its_closed_forms():
+    rng = np.random.default_rng(0)
+    picture = rng.integers(0, 256, (40, 50, 3), dtype=np.uint8)
+    assert ssim(picture, picture) == pytest.approx(1)
+    black, grey = np.zeros((20, 20, 3), np.uint8), np.full((20, 20, 3), 100, np.uint8)
+    c1 = (0.01 * 255) ** 2
+    assert ssim(black, grey) == pytest.approx(c1 / (100**2 + c1))
+    noisy = [ssim(picture, np.clip(picture + rng.normal(0, s, picture.shape), 0, 255).astype(np.uint8)) for s in (5, 50)]
+    assert 1 > noisy[0] > noisy[1] > 0 and ssim(picture, 255 - picture) < 0
+    with pytest.raises(ValueError, match="one shape"):
+        ssim(picture, picture[:-1])

@@ -12,7 +12,7 @@ import yaml
 
 from robot import thing as things
 from robot import worldfile
-from robot.photographs import hemisphere
+from robot.photographs import hemisphere, sketch_views
 from robot.shapes import body_pieces
 from robot.standing import free
 from robot.variation import pre_grasp, varied
@@ -194,8 +194,8 @@ def test_the_sketch_views_see_the_whole_intended_motion(name):
 
 
 def test_photographs_are_seeded_even_and_outside_of_everything(table):
-    cameras = hemisphere(table.spec["view"], seed=3)
-    again, other = hemisphere(table.spec["view"], seed=3), hemisphere(table.spec["view"], seed=4)
+    cameras = hemisphere(table.spec, seed=3)
+    again, other = hemisphere(table.spec, seed=3), hemisphere(table.spec, seed=4)
     assert len(cameras) == 48 and all(
         (a.world_from_camera == b.world_from_camera).all() for a, b in zip(cameras, again)
     )
@@ -208,10 +208,19 @@ def test_photographs_are_seeded_even_and_outside_of_everything(table):
         assert not any(((c.centre > np.subtract(low, 0.05)) & (c.centre < np.add(high, 0.05))).all() for c in cameras)
 
 
+def test_photographs_to_sketch_on_are_the_world_s_views_but_for_the_hand(table):
+    cameras = sketch_views(table.spec, seed=3, jitter=0.02)
+    assert len(cameras) == 2 and all((camera.width, camera.height) == (1280, 960) for camera in cameras)
+    off = [np.linalg.norm(camera.centre - view["eye"]) for camera, view in zip(cameras, table.spec["sketch_views"])]
+    assert 0 < max(off) < 0.1
+    with pytest.raises(ValueError, match="has 3 sketch views"):
+        sketch_views(table.spec, count=4)
+
+
 def test_a_world_says_from_where_it_is_photographed_unless_it_is_asked_for():
     view = {"target": [0.3, 0, 0.5], "azimuth_deg": [90, 270], "elevation_deg": [10, 20], "radius": [1, 2]}
     for asked, azimuths, elevations in (({}, (90, 270), (10, 20)), ({"azimuth_deg": [0, 30], "elevation_deg": [40, 50]}, (0, 30), (40, 50))):
-        offsets = np.array([camera.centre for camera in hemisphere(view, jitter=0, **asked)]) - view["target"]
+        offsets = np.array([camera.centre for camera in hemisphere({"view": view}, jitter=0, **asked)]) - view["target"]
         azimuth = np.degrees(np.arctan2(offsets[:, 1], offsets[:, 0])) % 360
         elevation = np.degrees(np.arcsin(offsets[:, 2] / np.linalg.norm(offsets, axis=1)))
         for angle, (low, high) in ((azimuth, azimuths), (elevation, elevations)):

@@ -60,3 +60,20 @@ def psnr(a, b) -> float:
     if a.shape != b.shape:
         raise ValueError(f"pictures of one shape are compared, not {a.shape} and {b.shape}")
     return float(-10 * np.log10(max(np.mean((a - b) ** 2), 1e-12)))
+
+
+def ssim(a, b, sigma: float = 1.5) -> float:
+    """Structural similarity of two pictures (H, W, C), uint8 both (Wang et al. 2004): 1 for equal ones.
+
+    (2 m_a m_b + c1) (2 s_ab + c2) / ((m_a^2 + m_b^2 + c1) (s_a^2 + s_b^2 + c2)), means m and covariances s under a Gaussian of
+    ``sigma`` [px] that is cut off after 5, averaged over all windows inside the picture and the channels.
+    """
+    import cv2
+
+    a, b = (np.asarray(p, dtype=np.float64) for p in (a, b))
+    if a.shape != b.shape or min(a.shape[:2]) < 11:
+        raise ValueError(f"pictures of one shape, 11 pixels or more each way, are compared, not {a.shape} and {b.shape}")
+    mean = lambda x: cv2.GaussianBlur(x, (11, 11), sigma)[5:-5, 5:-5]
+    m_a, m_b, c1, c2 = mean(a), mean(b), (0.01 * 255) ** 2, (0.03 * 255) ** 2
+    s_a, s_b, s_ab = mean(a * a) - m_a**2, mean(b * b) - m_b**2, mean(a * b) - m_a * m_b
+    return float(((2 * m_a * m_b + c1) * (2 * s_ab + c2) / ((m_a**2 + m_b**2 + c1) * (s_a + s_b + c2))).mean())

@@ -14,9 +14,11 @@ import time
 
 import numpy as np
 
+from robot import worldfile
 from robot.arm import Arm
 from robot.events import planned_events
 from robot.execution import perform
+from robot.mounting import mounted
 from robot.planner import plan
 from robot.world import World
 from scene.camera import Camera, look_at
@@ -51,10 +53,14 @@ def sketched(spec: dict, seed: int) -> Skill:
 
 def tried(name: str, seed: int, arm: Arm, skill_of, **settings) -> tuple[object, object]:
     """(Plan, Execution or None where there is no feasible plan)."""
-    with World.load(name, seed=seed, textured=False) as world:
+    spec, arm = mounted(worldfile.read(name) | {"seed": seed}, arm)
+    with World.from_spec(spec, textured=False) as world:
         world.spec["motion"]["via"][0] = arm.fk(arm.home)[:3, 3].tolist()  # whichever arm it is, its hand begins
         skill = skill_of(world.spec)
-        chosen = plan(skill, arm, world.obstacles, seed=seed, **settings)
+        settings |= {"orientation": world.spec["motion"].get("orientation")}
+        with World.from_spec(spec, textured=False) as known:
+            known.bring_held(arm, arm.home)
+            chosen = plan(skill, arm, known.obstacles, seed=seed, **settings)
         return chosen, perform(chosen, arm, world, events=planned_events(skill, chosen), fps=0) if chosen.feasible else None
 
 
