@@ -14,6 +14,7 @@ TOUCHING = 1e-4  # m; contacts further apart than this are warnings of Bullet's 
 POSITION_GAIN = 0.3  # share of the position error that is corrected in a step
 UNLIMITED = 1e3  # N m or N, where the URDF allows no effort at all
 UPRIGHT = 0.7  # cosine: what a foot presses on from above it stands on
+PRESS = 5.0  # N or N m, of a finger: more would push what it holds into the other finger
 GRIP = 1.2  # friction of what holds things: rubber
 
 
@@ -31,6 +32,7 @@ class Robot:
         self.tip = self.links.index(arm.tip_link)
         self.feet = [self.links.index(foot) for foot in arm.legs.feet] if arm.legs else []
         self.effort = {index: entry[10] or UNLIMITED for index, entry in enumerate(info)}
+        self.speed = {index: entry[11] or UNLIMITED for index, entry in enumerate(info)}
         self.open, self.closed = list(arm.gripper.open), list(arm.gripper.closed)
         self.grip, self.rest = self.open, arm.gripper.rest
         for finger in self.fingers:
@@ -40,7 +42,7 @@ class Robot:
     def step(self, now, then) -> None:
         """One step of the motors from where the plan is now (J,) to where it is ``then`` (J,), the legs' joints behind."""
         self._drive(self.joints + self.legs, now, (np.asarray(then) - now) / STEP)
-        self._drive(self.fingers, self.grip, np.zeros(len(self.fingers)))
+        self._grip()
         self.client.stepSimulation()
 
     def happen(self, event: str, world) -> None:
@@ -56,6 +58,14 @@ class Robot:
         if world.spec.get("held"):
             world.put_in_hand(self.body, self.tip, self.rest)
             self.grip = self.closed
+
+    def _grip(self) -> None:
+        """The fingers go to where they are to be, no faster than they can and pressing no harder than PRESS."""
+        for finger, position in zip(self.fingers, self.grip):
+            self.client.setJointMotorControl2(
+                self.body, finger, pybullet.POSITION_CONTROL, targetPosition=float(position), positionGain=POSITION_GAIN,
+                force=min(self.effort[finger], PRESS), maxVelocity=self.speed[finger],
+            )  # fmt: skip
 
     def _drive(self, joints, positions, speeds) -> None:
         for joint, position, speed in zip(joints, positions, speeds):

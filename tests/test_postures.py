@@ -82,3 +82,20 @@ def test_what_the_hand_carries_keeps_clear_too(z1):
         world.bring_held(z1, z1.home)
         refused = plan(over, z1, world.obstacles, samples=1, moved=0, orientation="keep")
     assert not refused.feasible and "stick" in refused.refusals[0] and "shelf" in refused.refusals[0]
+
+
+def test_a_start_at_random_is_near_home_the_same_for_a_seed_and_none_for_a_hand_that_holds(z1):
+    skill, home = straight(z1, np.array([0.45, 0.12, 0.35])), z1.fk(z1.home)[:3, 3]
+    first, again, other = (plan(skill, z1, None, samples=1, starts_within=0.08, seed=seed).tip[0] for seed in (1, 1, 2))
+    np.testing.assert_array_equal(first, again)
+    assert 1e-3 < np.linalg.norm(first - home) <= 0.08 and np.linalg.norm(first - other) > 1e-3
+    with pytest.raises(ValueError, match="starts_within at 0"):
+        plan(skill, z1, None, samples=1, starts_within=0.08, held=["cup"])
+
+
+def test_what_is_held_lies_on_the_finger_that_does_not_move(z1):
+    cube = {"name": "cube", "shape": "box", "size": [0.03, 0.03, 0.03], "position": [0, 0, 0], "mass": 0.03}
+    with World({"name": "w", "seed": 0, "objects": [], "held": cube}, textured=False) as world:
+        world.bring_held(z1, z1.home)
+        tip_from_cube = np.linalg.inv(z1.fk(z1.home)) @ world.pose("cube")
+    np.testing.assert_allclose(tip_from_cube[:3, 3], [-0.015, 0, 0], atol=1e-6)
