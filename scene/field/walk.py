@@ -1,0 +1,60 @@
+"""Where on a ray the samples lie, in torch: even steps through occupied cells, and leaps over empty ones.
+
+Notation as in `scene.field.volume`. All rays go one step or leap together, without a loop over rays; distances are those of
+`scene.field.kernels.march`, which goes one ray at a time.
+"""
+
+import torch
+
+from scene.field.volume import along
+
+BURST = 16
+"""So many steps or leaps are made before it is asked which rays go on."""
+
+
+def cell(c: torch.Tensor, size: int) -> torch.Tensor:
+    """Number (n,) int64 of the cell at contracted places (n, 3), of ``size`` cells an axis: 64 * block + place in the block."""
+    x, y, z = ((c + 2) * (0.25 * size)).long().clamp_(0, size - 1).unbind(-1)
+    blocks = size >> 2
+    block = ((x >> 2) * blocks + (y >> 2)) * blocks + (z >> 2)
+    return (block << 6) + ((x & 3) << 4) + ((y & 3) << 2) + (z & 3)
+
+
+def burst(origins, directions, t, far, step: float, size: int, distance, mask):
+    """`BURST` steps or leaps of rays (n, 3) that are at t (n,) and end at far (n,), through ``size`` cells an axis.
+
+    distance, mask: of the blocks, as in `scene.field.occupancy.Occupancy`, the mask's bits as int64. Returns the distances
+    (n, BURST), which of them are samples (n, BURST), how fast c moves there (n, BURST), and where the rays are then (n,).
+    """
+    distances, samples, speeds = [], [], []
+    for _ in range(BURST):
+        c, v, r = along(origins, directions, t)
+        speed = v.norm(dim=-1)
+        number = cell(c, size)
+        empty = distance[number >> 6]
+        far_off = empty > 0
+        occupied = (mask[number >> 6] >> (number & 63) & 1).bool() & ~far_off
+        leap = _leap(c, v, r, speed, torch.where(far_off, size >> 2, size), torch.where(far_off, empty, 1), step)
+        going = t < far
+        distances.append(t)
+        samples.append(going & occupied)
+        speeds.append(speed)
+        t = torch.where(going, t + torch.where(occupied, step / speed, leap), t)
+    return torch.stack(distances, 1), torch.stack(samples, 1), torch.stack(speeds, 1), t
+
+
+def _leap(c, v, r, speed, size, empty, step: float) -> torch.Tensor:
+    """How far (n,) rays may go where the nearest occupied of ``size`` (n,) cells an axis is ``empty`` (n,) cells away.
+
+    In the box they are straight: to where they leave the empty cells, or the box. Outside they are bent, but no axis
+    moves faster than ``speed``, which changes at most twofold over a quarter of r, the L-inf norm of the point.
+    """
+    scale = (0.25 * size)[:, None]
+    p = (c + 2) * scale
+    index = torch.minimum(p.floor().clamp_min(0), size[:, None] - 1)
+    room = torch.where(v > 0, index + empty[:, None] - p, p - index + (empty[:, None] - 1))
+    out = ((room + 1e-3) / (v.abs() * scale).clamp_min(1e-9)).amin(-1)
+    leaves = ((1 - torch.where(v > 0, c, -c)) / v.abs().clamp_min(1e-9)).amin(-1)
+    straight = torch.minimum(out, leaves.clamp_min(step))
+    bent = torch.minimum(2 * (empty - 1) / (size * speed), 0.25 * r)
+    return torch.where(r <= 1, straight, torch.maximum(bent, step / speed))
