@@ -20,8 +20,8 @@ import numpy as np
 from tqdm import tqdm
 
 from scene.field import Field, Shading, kernels, occupancy
-from scene.field.device import chosen
 from scene.field.descent import Descent, KernelDescent, Rates
+from scene.field.device import chosen
 from scene.field.grid import Grid
 from scene.field.torch_descent import TorchDescent
 from scene.files import replacing

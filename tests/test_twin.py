@@ -146,7 +146,7 @@ def small(monkeypatch):
     monkeypatch.setattr(training, "BATCH", 512)
     monkeypatch.setattr(training, "PASSES", 1000)
     stages = training.Stage(0.0, (32,), 32, 1.2, 2, 20, 0.1), training.Stage(0.25, (32, 96), 64, 1.0, 1, 20, 0.2)
-    return dict(seed=0, progress=False, stages=stages)
+    return {"seed": 0, "progress": False, "stages": stages}
 
 
 def test_both_learn_a_scene_equally_well(views, small, device, new_view):
