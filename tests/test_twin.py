@@ -1,5 +1,6 @@
 """The twin in torch finds what the kernels find, learns what they learn, and either goes on where the other stopped."""
 
+import warnings
 from copy import deepcopy
 
 import numpy as np
@@ -8,7 +9,7 @@ import torch
 
 from scene import fit as training
 from scene.camera import Camera, View, look_at, orbit
-from scene.field import Field, Shading
+from scene.field import Field, Shading, walk
 from scene.field.descent import KernelDescent, Rates
 from scene.field.device import chosen
 from scene.field.grid import BRICK, Grid
@@ -191,6 +192,39 @@ def test_a_field_is_saved_and_loaded_from_and_to_any_device(field, device, tmp_p
     again = Field.load(tmp_path / "field.pt", device="cpu")
     np.testing.assert_array_equal(loaded.on("cpu").grid.values, again.grid.values)
     np.testing.assert_array_equal(loaded.on("cpu").shading.inner, again.shading.inner)
+
+
+def one_step(field, rays):
+    """The arguments of `walk.once`."""
+    twin = field.on("torch").twin
+    origins, directions, t = map(twin.tensor, (rays.origins, rays.directions, rays.near))
+    return origins, directions, t, torch.full_like(t, 9), torch.tensor(field.step), field.occupied.size, *twin.cells(field)
+
+
+def test_where_torch_cannot_compile_it_says_so_and_goes_on(field, rays, monkeypatch):
+    def compiled(function, dynamic):
+        def fails(*arguments):
+            raise RuntimeError("Triton is missing\nand more")
+
+        return fails
+
+    monkeypatch.setattr(torch, "compile", compiled)
+    advance, arguments = walk.fused(torch.device("cuda")), one_step(field, rays)
+    with pytest.warns(UserWarning, match=r"torch cannot compile for this GPU \(Triton is missing\); training goes on"):
+        found = advance(*arguments)
+    for mine, expected in zip(found, walk.once(*arguments)):
+        assert torch.equal(mine, expected)
+    assert torch.equal(advance(*arguments)[0], found[0])
+
+
+@pytest.mark.slow  # a compiler, half a minute
+def test_what_torch_compiles_takes_the_same_steps(field, rays):
+    arguments = one_step(field, rays)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("error", message="torch cannot compile")
+        found = walk.fused(torch.device("cuda"))(*arguments)
+    for mine, expected in zip(found, walk.once(*arguments)):
+        assert torch.isclose(mine.float(), expected.float(), atol=1e-5).float().mean() > 0.999
 
 
 def test_a_gpu_that_is_not_there_is_one_clear_error(views, monkeypatch):

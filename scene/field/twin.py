@@ -14,7 +14,7 @@ from scene.field import volume, walk
 from scene.field.grid import CHANNELS, interpolate
 from scene.field.rays import Marched, Rays
 
-CHUNK = 2**13
+CHUNK = 2**16
 """Rays marched at once, at most."""
 GATHER = 2**16
 """Samples whose voxels are read or written at once, at most: eight of eight numbers each."""
@@ -66,6 +66,7 @@ class Twin:
 
     def __init__(self, device: torch.device):
         self.device = device
+        self.advance = walk.once
         self._held = {}
 
     def tensor(self, array: np.ndarray) -> torch.Tensor:
@@ -82,16 +83,20 @@ class Twin:
         """The table and the roots of a field's grid."""
         return self.held("table", field.grid.table), self.held("roots", field.grid.roots)
 
+    def cells(self, field) -> tuple[torch.Tensor, torch.Tensor]:
+        """The distances and the masks of a field's occupancy."""
+        return self.held("distance", field.occupied.distance), self.held("mask", field.occupied.mask)
+
     @torch.no_grad()
     def gather(self, field, rays: Rays, far, jitter, stop: float) -> Samples:
         """The samples of rays until they end at far (n,) or let through no more light than ``stop``."""
         o, d, t, far, jitter = map(self.tensor, (rays.origins, rays.directions, rays.near, far, jitter))
         t = t + jitter * field.step / volume.along(o, d, t)[1].norm(dim=-1)
-        distance, mask = self.held("distance", field.occupied.distance), self.held("mask", field.occupied.mask)
+        space = t.new_tensor(field.step), field.occupied.size, *self.cells(field)
         through, count = torch.ones_like(t), torch.zeros(len(t), dtype=torch.long, device=self.device)
         live, bursts = torch.arange(len(t), device=self.device), []
         while len(live) or not bursts:
-            ts, on, speed, after = walk.burst(o[live], d[live], t[live], far[live], field.step, field.occupied.size, distance, mask)
+            ts, on, speed, after = walk.burst(self.advance, o[live], d[live], t[live], far[live], *space)
             row, k = on.nonzero(as_tuple=True)
             place = volume.contract(torch.addcmul(o[live[row]], d[live[row]], ts[row, k, None]))
             feature = self._look_up(field, place)

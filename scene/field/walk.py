@@ -4,6 +4,8 @@ Notation as in `scene.field.volume`. All rays go one step or leap together, with
 `scene.field.kernels.march`, which goes one ray at a time.
 """
 
+import warnings
+
 import torch
 
 from scene.field.volume import along
@@ -20,30 +22,60 @@ def cell(c: torch.Tensor, size: int) -> torch.Tensor:
     return (block << 6) + ((x & 3) << 4) + ((y & 3) << 2) + (z & 3)
 
 
-def burst(origins, directions, t, far, step: float, size: int, distance, mask):
-    """`BURST` steps or leaps of rays (n, 3) that are at t (n,) and end at far (n,), through ``size`` cells an axis.
+def burst(advance, origins, directions, t, far, step: torch.Tensor, size: int, distance, mask):
+    """`BURST` times ``advance`` (`once`, or `fused`) of rays (n, 3) that are at t (n,) and end at far (n,).
 
-    distance, mask: of the blocks, as in `scene.field.occupancy.Occupancy`, the mask's bits as int64. Returns the distances
-    (n, BURST), which of them are samples (n, BURST), how fast c moves there (n, BURST), and where the rays are then (n,).
+    Returns the distances (n, BURST), which of them are samples (n, BURST), how fast c moves there (n, BURST), and where the rays are
+    then (n,).
     """
     distances, samples, speeds = [], [], []
     for _ in range(BURST):
-        c, v, r = along(origins, directions, t)
-        speed = v.norm(dim=-1)
-        number = cell(c, size)
-        empty = distance[number >> 6]
-        far_off = empty > 0
-        occupied = (mask[number >> 6] >> (number & 63) & 1).bool() & ~far_off
-        leap = _leap(c, v, r, speed, torch.where(far_off, size >> 2, size), torch.where(far_off, empty, 1), step)
-        going = t < far
         distances.append(t)
-        samples.append(going & occupied)
+        t, sample, speed = advance(origins, directions, t, far, step, size, distance, mask)
+        samples.append(sample)
         speeds.append(speed)
-        t = torch.where(going, t + torch.where(occupied, step / speed, leap), t)
     return torch.stack(distances, 1), torch.stack(samples, 1), torch.stack(speeds, 1), t
 
 
-def _leap(c, v, r, speed, size, empty, step: float) -> torch.Tensor:
+def once(origins, directions, t, far, step: torch.Tensor, size: int, distance, mask):
+    """One step or leap from t (n,), through ``size`` cells an axis: to where, whether t is a sample, and how fast c moves there.
+
+    step (): between samples, contracted. distance, mask: of the blocks, as in `scene.field.occupancy.Occupancy`, the mask's bits as int64.
+    """
+    c, v, r = along(origins, directions, t)
+    speed = v.norm(dim=-1)
+    number = cell(c, size)
+    empty = distance[number >> 6]
+    far_off = empty > 0
+    occupied = (mask[number >> 6] >> (number & 63) & 1).bool() & ~far_off
+    leap = _leap(c, v, r, speed, torch.where(far_off, size >> 2, size), torch.where(far_off, empty, 1), step)
+    going = t < far
+    return torch.where(going, t + torch.where(occupied, step / speed, leap), t), going & occupied, speed
+
+
+def fused(device: torch.device):
+    """`once`, for a training on ``device``: on a GPU it is compiled, as its hundred small kernels take longer to start than to run.
+
+    Compiling takes seconds, so that it does not pay for a picture or two. Where torch cannot compile, a warning says so.
+    """
+    function = torch.compile(once, dynamic=True) if device.type == "cuda" else once
+
+    def advance(*arguments):
+        nonlocal function
+        try:
+            return function(*arguments)
+        except RuntimeError as error:
+            if function is once:
+                raise
+            reason = str(error).strip().partition("\n")[0]
+            warnings.warn(f"torch cannot compile for this GPU ({reason}); training goes on without, but is slower", stacklevel=2)
+            function = once
+            return once(*arguments)
+
+    return advance
+
+
+def _leap(c, v, r, speed, size, empty, step: torch.Tensor) -> torch.Tensor:
     """How far (n,) rays may go where the nearest occupied of ``size`` (n,) cells an axis is ``empty`` (n,) cells away.
 
     In the box they are straight: to where they leave the empty cells, or the box. Outside they are bent, but no axis
