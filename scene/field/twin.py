@@ -92,7 +92,7 @@ class Twin:
         """The samples of rays until they end at far (n,) or let through no more light than ``stop``."""
         o, d, t, far, jitter = map(self.tensor, (rays.origins, rays.directions, rays.near, far, jitter))
         t = t + jitter * field.step / volume.along(o, d, t)[1].norm(dim=-1)
-        space = t.new_tensor(field.step), field.occupied.size, *self.cells(field)
+        space = t.new_full((), field.step), field.occupied.size, *self.cells(field)
         through, count = torch.ones_like(t), torch.zeros(len(t), dtype=torch.long, device=self.device)
         live, bursts = torch.arange(len(t), device=self.device), []
         while len(live) or not bursts:
