@@ -3,7 +3,7 @@
 import numpy as np
 import torch
 
-from scene.field import FAR, STOP_TRAINING, Field, Rays, descent, twin, volume, walk
+from scene.field import FAR, STOP_TRAINING, Field, Rays, descent, twin, volume
 from scene.field.descent import Descent, Rates
 from scene.field.grid import BRICK, corners
 
@@ -16,7 +16,6 @@ class TorchDescent(Descent):
 
     def __init__(self, field: Field):
         super().__init__(field)
-        field.twin.advance = walk.fused(field.twin.device)
         self.touched = self._none_touched()
 
     def _none_touched(self) -> torch.Tensor:

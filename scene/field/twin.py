@@ -66,7 +66,7 @@ class Twin:
 
     def __init__(self, device: torch.device):
         self.device = device
-        self.advance = walk.once
+        self.advance = walk.fused(device)
         self._held = {}
 
     def tensor(self, array: np.ndarray) -> torch.Tensor:

@@ -12,6 +12,8 @@ from scene.field.volume import along
 
 BURST = 16
 """So many steps or leaps are made before it is asked which rays go on."""
+AFTER = 4096
+"""Calls of `once` before it is compiled for a GPU: thirty steps of training, or a few pictures."""
 
 
 def cell(c: torch.Tensor, size: int) -> torch.Tensor:
@@ -54,21 +56,25 @@ def once(origins, directions, t, far, step: torch.Tensor, size: int, distance, m
 
 
 def fused(device: torch.device):
-    """`once`, for a training on ``device``: on a GPU it is compiled, as its hundred small kernels take longer to start than to run.
+    """`once` for a device; on a GPU, it is compiled when it has been called `AFTER` times.
 
-    Compiling takes seconds, so that it does not pay for a picture or two. Where torch cannot compile, a warning says so.
+    Its hundred small kernels take longer to start than to run; compiled they are a few, but compiling takes seconds, which
+    do not pay for a picture or two. Where torch cannot compile, a warning says so.
     """
-    function = torch.compile(once, dynamic=True) if device.type == "cuda" else once
+    function, calls = once, 0
 
     def advance(*arguments):
-        nonlocal function
+        nonlocal function, calls
+        calls += 1
+        if calls == AFTER and device.type == "cuda":
+            function = torch.compile(once, dynamic=True)
         try:
             return function(*arguments)
         except RuntimeError as error:
             if function is once:
                 raise
             reason = str(error).strip().partition("\n")[0]
-            warnings.warn(f"torch cannot compile for this GPU ({reason}); training goes on without, but is slower", stacklevel=2)
+            warnings.warn(f"torch cannot compile for this GPU ({reason}); the field goes on without, but is slower", stacklevel=2)
             function = once
             return once(*arguments)
 
