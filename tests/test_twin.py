@@ -51,7 +51,7 @@ def notes(field):
 
 
 def differing(bits, others):
-    return int(np.unpackbits((bits ^ others).view(np.uint8)).sum())
+    return np.unpackbits((bits ^ others).view(np.uint8)).sum()
 
 
 def test_both_take_the_same_samples_and_note_the_same_cells(field, rays, device):
@@ -177,8 +177,10 @@ def test_one_goes_on_where_the_other_was_killed(views, small, device, new_view, 
     with pytest.raises(KeyboardInterrupt):
         fit(views, steps=40, device=order[0], checkpoint=tmp_path / "checkpoint.npz", callback=killed, **small)
     steps = []
-    note = lambda field, step, seconds: steps.append((step, field.twin is not None))
-    again = fit(views, steps=40, device=order[1], checkpoint=tmp_path / "checkpoint.npz", callback=note, **small)
+    again = fit(
+        views, steps=40, device=order[1], checkpoint=tmp_path / "checkpoint.npz", **small,
+        callback=lambda field, step, seconds: steps.append((step, field.twin is not None)),
+    )  # fmt: skip
     assert steps[0] == (20, order[1] != "cpu")
     whole = fit(views, steps=40, device="cpu", **small)
     assert psnr(again.render(new_view)[0], whole.render(new_view)[0]) > 35

@@ -97,21 +97,25 @@ class Twin:
         live, bursts = torch.arange(len(t), device=self.device), []
         while len(live) or not bursts:
             ts, on, speed, after = walk.burst(self.advance, o[live], d[live], t[live], far[live], *space)
+            on, kept, place, feature = self._reached(field, o[live], d[live], through[live], ts, on, stop)
             row, k = on.nonzero(as_tuple=True)
-            place = volume.contract(torch.addcmul(o[live[row]], d[live[row]], ts[row, k, None]))
-            feature = self._look_up(field, place)
-            kept = 1 - torch.zeros_like(ts).index_put((row, k), _alpha(field, feature))
-            light = torch.cat([through[live, None], kept], 1).cumprod(1)  # before each step, and after the last
-            on &= light[:, :-1] > stop
             slot = count[live, None] + on.cumsum(1) - 1
-            reached = on[row, k]
-            row, k = row[reached], k[reached]
-            bursts.append((live[row], slot[row, k], ts[row, k], place[reached], field.step / speed[row, k], feature[reached]))
+            bursts.append((live[row], slot[row, k], ts[row, k], place, field.step / speed[row, k], feature))
             through[live] *= torch.where(on, kept, 1).prod(1)
             count[live] += on.sum(1)
             t[live] = after
             live = live[(after < far[live]) & (through[live] > stop)]
         return Samples.sorted(count, bursts)
+
+    def _reached(self, field, o, d, through, ts, on, stop: float):
+        """Which samples (n, k) of a burst light reaches, what share of it each lets through, and of those their places and channels."""
+        row, k = on.nonzero(as_tuple=True)
+        place = volume.contract(torch.addcmul(o[row], d[row], ts[row, k, None]))
+        feature = self._look_up(field, place)
+        kept = 1 - torch.zeros_like(ts).index_put((row, k), _alpha(field, feature))
+        light = torch.cat([through[:, None], kept], 1).cumprod(1)  # before each, and after the last
+        lit = on & (light[:, :-1] > stop)
+        return lit, kept, place[lit[row, k]], feature[lit[row, k]]
 
     def _look_up(self, field, place: torch.Tensor) -> torch.Tensor:
         grid, index = field.grid, self.index(field)
