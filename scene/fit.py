@@ -23,8 +23,10 @@ import numpy as np
 from tqdm import tqdm
 
 from scene.field import Field, Shading, kernels, occupancy
-from scene.field.descent import KernelDescent, Rates
+from scene.field.descent import Descent, KernelDescent, Rates
+from scene.field.device import chosen
 from scene.field.grid import Grid
+from scene.field.torch_descent import TorchDescent
 from scene.files import replacing
 from scene.photographs import Photographs, backdrop, gains, ratios
 
@@ -43,8 +45,8 @@ OPAQUE = 0.1
 """Until this fraction of training, random colours stand behind a scene that has no backdrop."""
 SAVE_EVERY = 30.0
 """Seconds between checkpoints."""
-SWEEP = 8
-"""Before pruning, every so many-th pixel of all pictures is looked through, an axis."""
+SWEEP = 80
+"""Before pruning, every picture is looked through at about so many pixels across, or all of them."""
 EXPOSED = 0.2
 """From this fraction of training on, sweeps also tell how each picture was exposed: before, the field says too little."""
 
@@ -100,7 +102,7 @@ class Training:
     """A training under way: all that a checkpoint holds."""
 
     field: Field
-    descent: KernelDescent
+    descent: Descent
     occupied: np.ndarray  # (n, n, n) bool
     seen: np.ndarray  # cells that were seen since the last pruning, as bits (`occupancy.cells`)
     surface: np.ndarray  # cells that held a surface since then
@@ -139,18 +141,21 @@ def fit(
     is learned PASSES times); seconds: a cap, after which training ends even so, with its schedule spread over that time. callback(field, step, seconds)
     after each step gets the field in training. checkpoint: a file, written now and then, from which a killed
     training goes on; removed at the end. bounds: (2, 3) corners of the box of interest [m], else from points or cameras.
-    deterministic: one thread, bit-equal results. device: "cpu" or "auto", which is the same.
+    deterministic: one thread of the CPU, bit-equal results. device: where the field is trained and then lies,
+    see `scene.field.device.chosen`: "auto" is a GPU if there is one, else the CPU.
 
     stages: default `schedule`. rates: of density, colour, features, network (default `learning_rates`), falling
     to ``decay`` of it. exposure: pictures may be exposed differently; the field gets their geometric mean. thin: density of the fog that training begins with, and prior: raw density it begins with at points. hidden:
     width of the network.
     """
-    _check(views)
+    _check(views, device, deterministic)
+    device = "cpu" if deterministic else device
     behind_all = backdrop(views)
     stages = stages or schedule(views, open_ended=not len(behind_all))
     rates = rates or learning_rates(len(views), open_ended=not len(behind_all))
-    run = _resume(checkpoint, views, seed, stages) or _start(
-        views, points, bounds, Shading.initial(np.random.default_rng(seed), behind_all, hidden), deterministic, device, thin
+    threads = 1 if deterministic else kernels.THREADS
+    run = _resume(checkpoint, views, seed, stages, device, threads) or _start(
+        views, points, bounds, Shading.initial(np.random.default_rng(seed), behind_all, hidden), device, threads, thin
     )
     limit = steps if steps is not None else min(STEPS if seconds is None else np.inf, _most(views))
     clock, saved = time.perf_counter() - run.seconds, time.perf_counter()
@@ -194,22 +199,25 @@ def _most(views) -> int:
     return max(1, PASSES * sum(view.camera.width * view.camera.height for view in views) // BATCH)
 
 
-def _check(views) -> None:
+def _check(views, device: str, deterministic: bool) -> None:
     if len(views) < 2:
         raise ValueError(f"a field needs at least two photographs, {len(views)} given")
+    if chosen(device) is not None and device != "auto" and deterministic:
+        raise ValueError(f"training is bit-equal on the CPU only, not on device {device!r}; use 'cpu', or deterministic=false")
 
 
-def _start(views, points, bounds, shading: Shading, deterministic, device, thin) -> Training:
-    if device not in ("auto", "cpu"):
-        raise ValueError(f"device {device!r} is not there; use 'cpu' or 'auto'")
+def _descent(field: Field, threads: int) -> Descent:
+    return KernelDescent(field, threads) if field.twin is None else TorchDescent(field)
+
+
+def _start(views, points, bounds, shading: Shading, device, threads, thin) -> Training:
     centre, half = occupancy.box_of_interest(views, points, bounds)
     occupied = occupancy.seen(views, centre, half, 64)
     field = Field(
         centre, half, Grid.empty(), shading, occupancy.Occupancy.of(occupied),
         step=1.0, scale=SCALE, shift=float(np.log(np.expm1(thin / SCALE))), near=NEAR,
-    )  # fmt: skip
-    descent = KernelDescent(field, 1 if deterministic else kernels.THREADS)
-    return Training(field, descent, occupied, *np.zeros((2, 1), np.uint64), np.ones((len(views), 3), np.float32))
+    ).on(device)  # fmt: skip
+    return Training(field, _descent(field, threads), occupied, *np.zeros((2, 1), np.uint64), np.ones((len(views), 3), np.float32))
 
 
 def _advance(run: Training, stages, done: float, points, prior, views, nearest, exposure: bool) -> bool:
@@ -243,8 +251,9 @@ def _sweep(run: Training, views, visible: float, nearest: float, exposure: bool)
     rng = np.random.default_rng(run.step)
     logs = []
     for view in views:
-        x, y = rng.random(2) * SWEEP
-        pixels = np.stack(np.meshgrid(np.arange(x, view.camera.width, SWEEP), np.arange(y, view.camera.height, SWEEP)), -1)
+        every = max(view.camera.width // SWEEP, 1)
+        x, y = rng.random(2) * every
+        pixels = np.stack(np.meshgrid(np.arange(x, view.camera.width, every), np.arange(y, view.camera.height, every)), -1)
         rays = run.field.rays(*view.camera.rays(pixels.reshape(-1, 2)))
         rays.near[:] = nearest
         marched = run.field.march(rays, keep=100, seen=run.seen, surface=run.surface, visible=visible, threads=run.descent.threads)
@@ -281,19 +290,19 @@ def _fingerprint(views, seed, stages) -> str:
 
 def _save(run: Training, path, views, seed, stages) -> None:
     """Write a checkpoint, atomically."""
-    field = run.field
+    field = run.field.on("cpu")
     with replacing(path) as temporary, open(temporary, "wb") as file:
         np.savez(
             file, fingerprint=_fingerprint(views, seed, stages), centre=field.centre, sizes=field.grid.sizes,
             numbers=[field.half, field.step, field.scale, field.shift, field.near],
             roots=field.grid.roots, table=field.grid.table, values=field.grid.values, occupied=run.occupied, seen=run.seen, surface=run.surface, gains=run.gains, background=field.shading.background,
-            inner=field.shading.inner, outer=field.shading.outer, threads=run.descent.threads,
+            inner=field.shading.inner, outer=field.shading.outer,
             progress=[run.stage, run.step, run.pruned], seconds=run.seconds, **run.descent.state(),
         )  # fmt: skip
 
 
-def _resume(path, views, seed, stages) -> Training | None:
-    """The training a checkpoint holds, if there is one and it is of these views, this seed and these stages."""
+def _resume(path, views, seed, stages, device, threads) -> Training | None:
+    """The training a checkpoint holds, if there is one and it is of these views, this seed and these stages, whatever the device."""
     if path is None or not Path(path).exists():
         return None
     try:
@@ -310,8 +319,8 @@ def _resume(path, views, seed, stages) -> Training | None:
     field = Field(
         state["centre"], float(state["numbers"][0]), grid, shading, occupancy.Occupancy.of(state["occupied"]),
         *map(float, state["numbers"][1:]),
-    )  # fmt: skip
-    descent = KernelDescent(field, int(state["threads"]))
+    ).on(device)  # fmt: skip
+    descent = _descent(field, threads)
     descent.restore(state)
     stage, step, pruned = map(int, state["progress"])
     return Training(field, descent, state["occupied"], state["seen"], state["surface"], state["gains"], stage, step, pruned, float(state["seconds"]))

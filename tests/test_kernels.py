@@ -50,10 +50,8 @@ class Twin:
 
     def colour(self, rays, marched, k, behind):
         f, through = self.composite(rays, marched, k)
-        x, y, z = (float(c) for c in rays.directions[k])
-        view = torch.tensor([1, x, y, z, x * y, y * z, x * z, x * x - y * y, 3 * z * z - 1], dtype=torch.float64)
-        hidden = torch.relu(torch.cat([f, view * (1 - through)]) @ self.inner)
-        return f[:3] + through * torch.as_tensor(behind, dtype=torch.float64) + hidden @ self.outer
+        directions, behind = (torch.tensor(a, dtype=torch.float64)[None] for a in (rays.directions[k], behind))
+        return volume.shade(f[None], through[None], directions, behind, self.inner, self.outer)[0]
 
 
 def test_channels_and_transmittance_are_those_of_the_twin(field, rays):

@@ -7,14 +7,17 @@ features (deferred shading, as in SNeRG and MERF). Light that passes everything 
 
 import zipfile
 import zlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from scene.camera import Camera
 from scene.field import kernels
+from scene.field.device import chosen, placed
 from scene.field.grid import BRICK, CHANNELS, Grid
 from scene.field.occupancy import Occupancy, cells
+from scene.field.rays import Marched, Rays
+from scene.field.twin import Twin
 from scene.files import replacing
 
 VERSION = 3
@@ -50,31 +53,13 @@ class Shading:
 
 
 @dataclass(eq=False)
-class Rays:
-    """n rays in normalised coordinates. origins, directions (n, 3); near (n,): all float32."""
-
-    origins: np.ndarray
-    directions: np.ndarray
-    near: np.ndarray
-
-
-@dataclass(eq=False)
-class Marched:
-    """What `kernels.march` found: composited channels (n, 8), transmittance (n,), median distance (n,), and its samples."""
-
-    channels: np.ndarray
-    through: np.ndarray
-    distance: np.ndarray
-    samples: tuple
-
-
-@dataclass(eq=False)
 class Field:
     """A trained scene.
 
     centre (3,) and half: the box of interest in the world [m]; grid and shading: what was learnt; occupied: where
     rays look for it; step: sample spacing in contracted space; scale, shift: density
     is scale * softplus(raw + shift); near: distance from a camera at which its rays begin, in units of ``half``.
+    twin: marches in torch, if the voxels and the network are tensors on its device (`on`); else the kernels march.
     """
 
     centre: np.ndarray
@@ -86,6 +71,14 @@ class Field:
     scale: float
     shift: float
     near: float
+    twin: Twin | None = None
+
+    def on(self, device: str) -> "Field":
+        """The field with its voxels and its network on a device, see `scene.field.device.chosen`; memory is shared where it can be."""
+        where = chosen(device)
+        shading = Shading(self.shading.background, *(placed(p, where) for p in self.shading.parameters))
+        grid = replace(self.grid, values=placed(self.grid.values, where))
+        return replace(self, grid=grid, shading=shading, twin=None if where is None else Twin(where))
 
     def rays(self, origins, directions) -> Rays:
         """Rays of the world (n, 3) [m] in the field's normalised coordinates."""
@@ -98,19 +91,22 @@ class Field:
         n = len(rays.near)
         far = np.full(n, FAR, np.float32) if far is None else far
         jitter = np.full(n, 0.5, np.float32) if jitter is None else jitter
+        stop = np.float32(STOP_TRAINING if keep else STOP)
+        if seen is None:
+            seen = surface = np.zeros(len(self.occupied.mask) if keep else 1, np.uint64)
+        if self.twin is not None:
+            return self.twin.march(self, rays, far, jitter, float(stop), keep > 0, seen, surface, visible)
         capacity = max(keep, 1)
         first, count = np.empty(n, np.int64), np.empty(n, np.int64)
         cell = np.empty(n * capacity, np.int32)
         t, alpha = (np.empty(n * capacity, np.float32) for _ in range(2))
         feature = np.empty((n * capacity, CHANNELS), np.float32)
         out, through, distance = np.empty((n, CHANNELS), np.float32), np.empty(n, np.float32), np.empty(n, np.float32)
-        if seen is None:
-            seen = surface = np.zeros(len(self.occupied.mask) if keep else 1, np.uint64)
         kernels.in_parallel(
             kernels.march, n, threads, rays.origins, rays.directions, rays.near, far, jitter,
             np.float32(self.step), np.float32(self.step * self.scale), self.occupied.size,
             self.occupied.distance, self.occupied.mask, np.float32(visible), seen, surface,
-            self.grid.sizes, self.grid.roots, self.grid.starts, self.grid.table, self.grid.values, np.float32(self.shift), np.float32(STOP_TRAINING if keep else STOP),
+            self.grid.sizes, self.grid.roots, self.grid.starts, self.grid.table, self.grid.values, np.float32(self.shift), stop,
             min(keep, 1), capacity, first, count, cell, t, alpha, feature, out, through, distance,
         )  # fmt: skip
         return Marched(out, through, distance, (first, count, t, alpha, feature))
@@ -143,6 +139,8 @@ class Field:
 
     def shade(self, marched: Marched, rays: Rays, behind: np.ndarray, threads: int = kernels.THREADS) -> np.ndarray:
         """Colour (n, 3) of marched rays, before what is behind everything (n, 3)."""
+        if self.twin is not None:
+            return self.twin.shade(self, marched, rays, behind)
         colour = np.empty((len(rays.near), 3), np.float32)
         kernels.in_parallel(
             kernels.shade, len(colour), threads, marched.channels, marched.through, rays.directions,
@@ -160,7 +158,8 @@ class Field:
 
     def save(self, path) -> None:
         """Write the field to ``path``, atomically: what lies in occupied space, the voxels rounded to `QUANTA`."""
-        grid = self.grid.within(cells(self.occupied.mask))
+        home = self.on("cpu")
+        grid = home.grid.within(cells(self.occupied.mask))
         with replacing(path) as temporary, open(temporary, "wb") as file:
             np.savez_compressed(
                 file,
@@ -173,13 +172,16 @@ class Field:
                 values=_rounded(grid.values),
                 occupied=self.occupied.mask,
                 background=self.shading.background,
-                inner=self.shading.inner,
-                outer=self.shading.outer,
+                inner=home.shading.inner,
+                outer=home.shading.outer,
             )
 
     @classmethod
-    def load(cls, path) -> "Field":
-        """Read what `save` wrote; nothing in the file is executed. ValueError if it is not a whole field of this version."""
+    def load(cls, path, device: str = "auto") -> "Field":
+        """Read what `save` wrote, onto a device (`on`); nothing in the file is executed.
+
+        ValueError if it is not a whole field of this version, or the device is not there.
+        """
         try:
             with np.load(path, allow_pickle=False) as file:
                 arrays = {key: file[key] for key in file.files}
@@ -190,9 +192,10 @@ class Field:
         if "version" not in arrays or arrays["version"].shape != () or arrays["version"] != VERSION:
             raise ValueError(f"{path} is no field of version {VERSION}; train it again with this version")
         try:
-            return cls._from_arrays(**{key: value for key, value in arrays.items() if key != "version"})
+            field = cls._from_arrays(**{key: value for key, value in arrays.items() if key != "version"})
         except (TypeError, ValueError, IndexError, KeyError, MemoryError) as error:
             raise ValueError(f"{path} is damaged: {error}; train it again") from None
+        return field.on(device)
 
     @classmethod
     def _from_arrays(cls, centre, numbers, sizes, roots, kept, values, occupied, background, inner, outer) -> "Field":

@@ -1,11 +1,12 @@
-"""One step of gradient descent on a field, with the kernels of `scene.field.kernels`."""
+"""One step of gradient descent on a field; here with the kernels, in `scene.field.torch_descent` with torch."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
 from scene.field import Field, Rays, kernels
-from scene.field.grid import BRICK, lengthened
+from scene.field.device import lengthened, placed
+from scene.field.grid import BRICK
 
 BETA1, BETA2 = 0.9, 0.99
 EPSILON = 1e-5
@@ -27,23 +28,58 @@ class Rates:
         return np.array([self.density] + [self.colour] * 3 + [self.feature] * 4, np.float32)
 
 
-class KernelDescent:
-    """RMSProp on a field's voxels and Adam on its network, in place, on the CPU.
+class Descent:
+    """RMSProp on a field's voxels and Adam on its network, in place, where they lie; a subclass says how a step is made.
 
     A voxel is moved only when rays meet it, seldom and with long breaks: a mean of its past gradients would say little.
     """
 
-    def __init__(self, field: Field, threads: int = kernels.THREADS):
-        self.field, self.threads, self.steps, self.keep = field, threads, 0, 128
-        self.gradient = np.zeros_like(field.grid.values)
-        self.square = np.zeros_like(field.grid.values)
-        self.network = [(np.zeros_like(p), np.zeros_like(p)) for p in field.shading.parameters]
+    def __init__(self, field: Field):
+        self.field, self.steps, self.keep = field, 0, 128
+        self.square = self._zeros()
+        self.gradient = self._zeros()
+        self.network = [(0 * p, 0 * p) for p in field.shading.parameters]
+
+    def _zeros(self):
+        return lengthened(self.field.grid.values[:0], len(self.field.grid.values))
 
     def grown(self) -> None:
         """The field's grid has got more voxels, behind the ones it had."""
-        count = len(self.field.grid.values)
-        self.square = lengthened(self.square, count)
-        self.gradient = np.zeros_like(self.field.grid.values)
+        self.square = lengthened(self.square, len(self.field.grid.values))
+        self.gradient = self._zeros()
+
+    @property
+    def unbiased(self) -> float:
+        """sqrt(1 - beta2^k) at step k."""
+        return float(np.sqrt(1 - BETA2**self.steps))
+
+    def adam(self, gradients: list, rate: float) -> None:
+        """One step of Adam on the network."""
+        correction = self.unbiased / (1 - BETA1**self.steps)
+        for p, g, (mean, square) in zip(self.field.shading.parameters, gradients, self.network):
+            mean += (1 - BETA1) * (g - mean)
+            square += (1 - BETA2) * (g**2 - square)
+            p -= rate * correction * mean / (square**0.5 + 1e-12)
+
+    def state(self) -> dict:
+        """Everything that `restore` needs beside the field, as arrays: a descent on another device may go on with it."""
+        moments = {f"network{i}{k}": placed(m, None) for i, pair in enumerate(self.network) for k, m in enumerate(pair)}
+        return {"steps": self.steps, "keep": self.keep, "square": placed(self.square, None), **moments}
+
+    def restore(self, state: dict) -> None:
+        where = self.field.twin.device if self.field.twin else None
+        self.steps, self.keep = int(state["steps"]), int(state["keep"])
+        self.square = placed(state["square"], where)
+        self.gradient = self._zeros()
+        self.network = [tuple(placed(state[f"network{i}{k}"], where) for k in range(2)) for i in range(len(self.network))]
+
+
+class KernelDescent(Descent):
+    """On the CPU, with the kernels of `scene.field.kernels`."""
+
+    def __init__(self, field: Field, threads: int = kernels.THREADS):
+        super().__init__(field)
+        self.threads = threads
 
     def step(self, rays: Rays, target, behind, jitter, rates: Rates, seen: np.ndarray, surface: np.ndarray, visible: float) -> float:
         """One step towards the colours ``target`` (n, 3) of rays before what is ``behind`` everything (n, 3).
@@ -79,24 +115,8 @@ class KernelDescent:
         self._move(touched, [g.sum(0) for g in grads], rates)
 
     def _move(self, touched: np.ndarray, network_gradient: list, rates: Rates) -> None:
-        unbiased = np.sqrt(1 - BETA2**self.steps)
-        correction = unbiased / (1 - BETA1**self.steps)
         kernels.in_parallel(
             kernels.rmsprop, len(touched), self.threads, self.field.grid.values, self.gradient, self.square,
-            touched, rates.voxel, np.float32(BETA2), np.float32(unbiased), np.float32(EPSILON),
+            touched, rates.voxel, np.float32(BETA2), np.float32(self.unbiased), np.float32(EPSILON),
         )  # fmt: skip
-        for p, g, (mean, square) in zip(self.field.shading.parameters, network_gradient, self.network):
-            mean += (1 - BETA1) * (g - mean)
-            square += (1 - BETA2) * (g**2 - square)
-            p -= (rates.network * correction * mean / (np.sqrt(square) + 1e-12)).astype(np.float32)
-
-    def state(self) -> dict:
-        """Everything that `restore` needs beside the field."""
-        moments = {f"network{i}{k}": m for i, pair in enumerate(self.network) for k, m in enumerate(pair)}
-        return {"steps": self.steps, "keep": self.keep, "square": self.square, **moments}
-
-    def restore(self, state: dict) -> None:
-        self.steps, self.keep = int(state["steps"]), int(state["keep"])
-        self.square = state["square"]
-        self.gradient = np.zeros_like(self.square)
-        self.network = [tuple(state[f"network{i}{k}"] for k in range(2)) for i in range(len(self.network))]
+        self.adam(network_gradient, rates.network)

@@ -19,6 +19,7 @@ import numpy as np
 import torch
 
 from scene.field import kernels
+from scene.field.device import lengthened
 from scene.field.occupancy import blocks
 
 BRICK = 4
@@ -27,12 +28,15 @@ CHANNELS = kernels.CHANNELS
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """sizes (L,) cells per axis; roots (sum,), table (64 * roots kept,) int32; values (64 * bricks, 8) float32, trained in place."""
+    """sizes (L,) cells per axis; roots (sum,), table (64 * roots kept,) int32; values (64 * bricks, 8) float32, trained in place.
+
+    values: an array, or a tensor on the device where they are trained; the rest, which says where they are, are arrays.
+    """
 
     sizes: np.ndarray
     roots: np.ndarray
     table: np.ndarray
-    values: np.ndarray
+    values: np.ndarray | torch.Tensor
 
     @classmethod
     def empty(cls) -> "Grid":
@@ -112,27 +116,30 @@ def bricks_over(occupied: np.ndarray, size: int) -> np.ndarray:
     return blocks(wanted)
 
 
-def lengthened(rows: np.ndarray, count: int) -> np.ndarray:
-    """``rows`` followed by zero rows, ``count`` in all; the system gives these memory only when they are first touched."""
-    longer = np.zeros((count, *rows.shape[1:]), rows.dtype)
-    longer[: len(rows)] = rows
-    return longer
+def corners(table: torch.Tensor, roots: torch.Tensor, size: int, start: int, places: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """The voxels around contracted places (n, 3) on one level: rows of ``values`` (n, 8), and their trilinear weights (n, 8)."""
+    p = (places + 2) * (size / 4)
+    low = p.floor().int().clamp_(0, size - 1)
+    fraction = p - low
+    voxel = torch.stack([low, low + 1], -1)  # (n, axis, 2)
+    count = size // BRICK**2 + 1
+    root = roots[start + _numbered(voxel >> 4, count)]
+    brick = table[root * BRICK**3 + _numbered((voxel >> 2) & 3, BRICK)]
+    x, y, z = torch.stack([1 - fraction, fraction], -1).unbind(1)
+    weights = x[:, :, None, None] * y[:, None, :, None] * z[:, None, None, :]
+    return brick * BRICK**3 + _numbered(voxel & 3, BRICK), weights.flatten(1)
+
+
+def _numbered(index: torch.Tensor, count: int) -> torch.Tensor:
+    """Row-major numbers (n, 8) of the corners with these indices (n, axis, lower or higher), ``count`` to an axis."""
+    x, y, z = index.unbind(1)
+    return ((x * count**2)[:, :, None, None] + (y * count)[:, None, :, None] + z[:, None, None, :]).flatten(1)
 
 
 def interpolate(values: torch.Tensor, table: torch.Tensor, roots: torch.Tensor, sizes, starts, places: torch.Tensor) -> torch.Tensor:
-    """f(c) (..., 8) at contracted places (..., 3): the kernels' twin, differentiable in ``values``, on any device."""
-    total = torch.zeros(*places.shape[:-1], values.shape[-1], dtype=values.dtype, device=values.device)
+    """f(c) (n, 8) at contracted places (n, 3): the kernels' twin, differentiable in ``values``, on any device."""
+    total = values.new_zeros(len(places), values.shape[-1])
     for size, start in zip(map(int, sizes), map(int, starts)):
-        p = (places + 2) * (size / 4)
-        low = p.floor().long().clamp(0, size - 1)
-        fraction = (p - low).to(values.dtype)
-        count = size // BRICK**2 + 1
-        for corner in np.ndindex(2, 2, 2):
-            offset = torch.tensor(corner, device=places.device)
-            voxel = low + offset
-            x, y, z = (voxel // BRICK**2).unbind(-1)
-            root = roots[start + (x * count + y) * count + z].long()
-            row = table[root * BRICK**3 + _inner(voxel // BRICK)].long() * BRICK**3 + _inner(voxel)
-            weight = torch.where(offset.bool(), fraction, 1 - fraction).prod(-1, keepdim=True)
-            total = total + weight * values[row]
+        rows, weights = corners(table, roots, size, start, places)
+        total = total + (weights.to(values.dtype)[..., None] * values[rows]).sum(1)
     return total

@@ -3,7 +3,7 @@
 Notation as in `scene.field.volume` and `scene.field.grid`. Every kernel works on a range [first, last) of rays or
 voxels without the interpreter's lock, so `in_parallel` spreads it over threads; two threads add their
 gradients to the same voxels without locks, which loses a few additions and is not bit-reproducible:
-one thread is. `scene.field.volume` and `scene.field.grid` hold the same maths in torch, and the tests compare them.
+one thread is. `scene.field.twin` does the same in torch, with the maths of `scene.field.volume`, and the tests compare them.
 
 A voxel's 8 floats are read and written as one SIMD vector, which numba's own vectoriser does not find;
 the two intrinsics at the top say it in LLVM's words and work on every processor.

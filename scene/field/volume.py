@@ -11,8 +11,8 @@ Notation
     w_i = T_i alpha_i                   its weight;   sum_i w_i + T_end = 1
 
 Samples are spaced evenly in contracted space, so that a sample always stands for as much as the grid
-resolves there. Everything here is torch, differentiable and free of state; `scene.field.kernels` does the
-same by hand for a CPU and is tested against this file.
+resolves there. Everything here is torch, differentiable and free of state: `scene.field.twin` marches with it on any device,
+and `scene.field.kernels` does the same by hand for a CPU.
 """
 
 import numpy as np
@@ -23,6 +23,19 @@ def contract(x: torch.Tensor) -> torch.Tensor:
     """Unbounded space (..., 3) -> the cube of half width 2; mip-NeRF 360's contraction in the L-inf norm."""
     r = x.abs().amax(-1, keepdim=True).clamp_min(1.0)
     return x * (2 * r - 1) / r**2
+
+
+def along(o: torch.Tensor, d: torch.Tensor, t: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """c and dc/dt (n, 3) at the points o + t d of rays (n, 3), and the points' L-inf norms r (n,).
+
+    With x_k the largest of |x|, r = |x_k| > 1 and c = (2/r - 1/r^2) x:   dc/dt = (2/r - 1/r^2) d + 2 (1 - r)/r^3 dr/dt x.
+    """
+    x = torch.addcmul(o, d, t[:, None])
+    r, k = x.abs().max(-1, keepdim=True)
+    near = 1 / r.clamp_min(1.0)
+    g = (2 - near) * near
+    bend = 2 * (near - 1) * near**2 * (d * x.sign()).gather(-1, k)
+    return x * g, d * g + x * bend, r[:, 0]
 
 
 def opacity(sigma: torch.Tensor, delta: torch.Tensor) -> torch.Tensor:
@@ -46,12 +59,23 @@ def median_depth(alpha: torch.Tensor, near: torch.Tensor, far: torch.Tensor) -> 
     through = torch.cumprod(1 - alpha, dim=-1)
     crossed = through <= 0.5
     first = crossed.to(torch.int8).argmax(-1, keepdim=True)
-    after = through.gather(-1, first)
+    before = torch.where(first > 0, through.gather(-1, (first - 1).clamp_min(0)), 1.0)
     kept = 1 - alpha.gather(-1, first)
-    before = after / kept.clamp_min(1e-12)
     s = (torch.log(2 * before) / -torch.log(kept.clamp_min(1e-12))).clamp(0, 1)
     start, end = near.gather(-1, first), far.gather(-1, first)
     return torch.where(crossed.any(-1, keepdim=True), start + s * (end - start), torch.nan).squeeze(-1)
+
+
+def shade(channels, through, directions, behind, inner, outer) -> torch.Tensor:
+    """Composited colour and features (n, 7) -> colour (n, 3) = diffuse + T behind + outer^T relu(inner^T x).
+
+    through (n,): T; directions (n, 3); behind (n, 3): what the rays meet behind everything. x (n, 16): the channels, and harmonics of
+    the direction as far as the ray is opaque. There is no bias: where a ray hits nothing, x = 0 and one sees what is behind.
+    """
+    x, y, z = directions.unbind(-1)
+    harmonics = torch.stack([torch.ones_like(x), x, y, z, x * y, y * z, x * z, x * x - y * y, 3 * z * z - 1], -1)
+    hidden = torch.relu(torch.cat([channels, harmonics * (1 - through)[:, None]], -1) @ inner)
+    return channels[:, :3] + through[:, None] * behind + hidden @ outer
 
 
 def psnr(a, b) -> float:
