@@ -43,8 +43,9 @@ TREMBLING, SMOOTHING = 0.002, 1.5
 """Least deviation of what is not smooth in a mean stroke, of the drawing's extent; how far it is smoothed [points]."""
 SLOPPINESS = (1.0, 0.3, 0.1, 0.03)
 """Values of k, in the order in which they are tried until the evidence falls."""
-BELIEF = 0.2
-"""Power of the evidence by which other curves than the best widen its covariance: a hand is only a model of one."""
+BELIEF, DOUBT = 0.2, 2.25
+"""Power of the evidence by which other curves than the best widen its covariance, and what multiplies it: a hand is only a
+model of one. Without, 80 % of random motions in space lay in their 95 % region."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,12 +136,12 @@ def _adjusted(views, start) -> list[Bundle]:
 
 
 def _widened(best: Bundle, tried) -> Bundle:
-    """The best of the curves, with the mean square of all around it."""
+    """The best of the curves, with the mean square of all around it, and more."""
     evidence = np.array([bundle.evidence for bundle in tried])
     share = np.exp(BELIEF * (evidence - best.evidence))
     off = np.stack([(TO_WEIGHTS @ (_evenly(bundle) - _evenly(best))).ravel() for bundle in tried])
     total = np.einsum("k,kij->ij", share, [bundle.covariance for bundle in tried]) + (off.T * share) @ off
-    return replace(best, covariance=total / share.sum())
+    return replace(best, covariance=DOUBT * total / share.sum())
 
 
 def _evenly(bundle: Bundle) -> np.ndarray:
