@@ -43,6 +43,9 @@ TREMBLING, SMOOTHING = 0.002, 1.5
 """Least deviation of what is not smooth in a mean stroke, of the drawing's extent; how far it is smoothed [points]."""
 SLOPPINESS = (1.0, 0.3, 0.1, 0.03)
 """Values of k, in the order in which they are tried until the evidence falls."""
+EVEN = 3.0
+"""Log evidence that says little (Kass & Raftery 1995): within it strokes are taken for exact, since strokes of a hand taken
+so lose little, and exact ones taken for a hand's a lot."""
 BELIEF, DOUBT = 0.2, 2.25
 """Power of the evidence by which other curves than the best widen its covariance, and what multiplies it: a hand is only a
 model of one. Without, 80 % of random motions in space lay in their 95 % region."""
@@ -112,13 +115,14 @@ def adjust(views: Sequence[ViewedStroke], start=None) -> Bundle:
     """The most probable curve and lags; its covariance covers the others that were nearly as probable. start: lags (V,
     COUNT) to begin with; None: several are tried, for two views."""
     tried: list[Bundle] = []
+    best: list[Bundle] = []
     for k in SLOPPINESS:
         found = _adjusted([view.sloppy(k) for view in views], start if start is None else np.asarray(start, dtype=float))
-        worse = bool(tried) and max(map(_probable, found)) <= max(map(_probable, tried))
-        tried += found
-        if worse:
+        tried, best = tried + found, [*best, max(found, key=_probable)]
+        if best[-1].evidence < max(map(_probable, best)) - EVEN:
             break
-    return _widened(max(tried, key=_probable), tried)
+    likely = [bundle for bundle in best if bundle.evidence >= max(map(_probable, best)) - EVEN]
+    return _widened(likely[-1], tried)
 
 
 def _probable(bundle: Bundle) -> float:
@@ -138,7 +142,7 @@ def _adjusted(views, start) -> list[Bundle]:
 def _widened(best: Bundle, tried) -> Bundle:
     """The best of the curves, with the mean square of all around it, and more."""
     evidence = np.array([bundle.evidence for bundle in tried])
-    share = np.exp(BELIEF * (evidence - best.evidence))
+    share = np.exp(BELIEF * (evidence - evidence.max()))
     off = np.stack([(TO_WEIGHTS @ (_evenly(bundle) - _evenly(best))).ravel() for bundle in tried])
     total = np.einsum("k,kij->ij", share, [bundle.covariance for bundle in tried]) + (off.T * share) @ off
     return replace(best, covariance=DOUBT * total / share.sum())
