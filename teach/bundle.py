@@ -2,7 +2,7 @@
 
 Notation
     z_v(s)      mean stroke of view v [px] at arc length s in [0, 1]
-    x(u)        the curve [m], x = Phi(u) w with N(w; 0, Q^-1): integrated squared jerk of the size ``bend``^2
+    x(u)        the curve [m], x = Phi(u) w with N(w; 0, Q^-1): integrated squared jerk and acceleration of the size ``bend``^2
     l_v(u)      lag of a view: z_v(u + l_v(u)) shows x(u); a Gaussian process of the size ``lag``, 0 at both ends
     e_v(u)      fault of the view's hand: offset, size and smooth deviation [px], covariance k^2 E_v, and trembling
     k           how sloppy the hands are, of what people's are: about 1, or nearly 0 for strokes that were not drawn by one
@@ -193,7 +193,8 @@ class _Problem:
         self.E_inverse = [np.linalg.inv(view.covariance) for view in views]
         self.x = triangulate([at(v.mean, self.u + l) for v, l in zip(views, lags, strict=True)], [v.camera for v in views])
         extent = max(float(np.ptp(self.x, axis=0).max()), 1e-6)
-        Q = smoothness_penalty(BASIS, order=3) / (bend * extent) ** 2 + 1e-7 / extent**2 * np.eye(BASIS.count)
+        Q = (smoothness_penalty(BASIS, order=3) + smoothness_penalty(BASIS)) / (bend * extent) ** 2
+        Q += 1e-7 / extent**2 * np.eye(BASIS.count)
         self.Q = np.kron(Q, np.eye(3))
 
     def start(self, lags):
