@@ -2,9 +2,10 @@
 
 Notation
     z_v(s)      mean stroke of view v [px] at arc length s in [0, 1]
-    x(u)        the curve [m], x = Phi(u) w with N(w; 0, Q^-1): integrated squared acceleration of the size ``bend``^2
+    x(u)        the curve [m], x = Phi(u) w with N(w; 0, Q^-1): integrated squared acceleration and jerk of the sizes ``bend``^2
     l_v(u)      lag of a view: z_v(u + l_v(u)) shows x(u); a Gaussian process of the size ``lag``, 0 at both ends
-    e_v(u)      fault of the view's hand: offset, size and smooth deviation [px], covariance E_v
+    e_v(u)      fault of the view's hand: offset, size and smooth deviation [px], covariance k^2 E_v, and trembling
+    k           how sloppy the hands are, of what people's are: about 1, or nearly 0 for strokes that were not drawn by one
 
     z_v(u + l_v(u)) = pi_v(x(u)) + e_v(u)
 
@@ -31,25 +32,38 @@ from teach.likelihood import OFFSET, SIZE, SMOOTH, SMOOTH_LENGTH, projection, sm
 COUNT = 100
 """Points at which a view is compared with the curve."""
 BASIS = SquaredExponential(24, 64.0)
+PHI = BASIS(np.linspace(0, 1, COUNT))
+PENALTIES = tuple(smoothness_penalty(BASIS, order=order) for order in (2, 3))
+TO_WEIGHTS = projection(BASIS, np.linspace(0, 1, COUNT), np.ones(COUNT), 1e-7)
 STARTS = (None, 0.06, 0.12, 0.25, 0.5)
 """Sizes of the lag with which dynamic programming looks for starts; None: no lag."""
-LAG_LENGTH, LAGS, BENDS = 0.15, (0.03, 0.08, 0.16), (0.3, 0.7, 1.5, 4.0)
-"""The lag's correlation length; sizes of the lag, of the arc length, and of the bend, of the curve's extent, to choose
-from."""
+LAG_LENGTH, LAGS = 0.15, (0.03, 0.08, 0.16)
+"""The lag's correlation length, and its sizes to choose from, of the arc length."""
+ANY = np.inf
+BENDS = ((0.3, ANY), (0.7, ANY), (1.5, ANY), (4.0, ANY), (5.0, 5.0), (12.0, 12.0), (25.0, 25.0), (60.0, 60.0))
+"""Sizes of acceleration and of jerk, of the curve's extent, to choose from: nearly straight curves, and steadily bent ones, such
+as a bow from here to there, which are held as likely as one in e^EVEN."""
 TREMBLING, SMOOTHING = 0.002, 1.5
 """Least deviation of what is not smooth in a mean stroke, of the drawing's extent; how far it is smoothed [points]."""
-EXACT = 0.1
-"""Strokes may also be drawn so much more exactly than hands do."""
+SLOPPINESS = (1.0, 0.3, 0.1, 0.03)
+"""Values of k, in the order in which they are tried until the evidence falls."""
+EVEN = 3.0
+"""Log evidence that says little (Kass & Raftery 1995): within it strokes are taken for exact, since strokes of a hand taken
+so lose little, and exact ones taken for a hand's a lot."""
+BELIEF, DOUBT = 0.2, 1.5
+"""Power of the evidence by which other curves than the best widen its covariance, and what multiplies it: a hand is only a
+model of one."""
 
 
 @dataclass(frozen=True, eq=False)
 class ViewedStroke:
     """The mean stroke of a view. mean: (COUNT, 2) [px] at even arc lengths. faults: (2, COUNT, COUNT) [px^2], the
-    covariance E of its fault along each axis of the picture."""
+    covariance E of its smooth fault along each axis of the picture. trembling: [px^2], variance of what is not smooth."""
 
     camera: Camera
     mean: Float[np.ndarray, "N 2"]
     faults: Float[np.ndarray, "2 N N"]
+    trembling: float
 
     @classmethod
     def of(cls, camera: Camera, strokes) -> "ViewedStroke":
@@ -62,13 +76,22 @@ class ViewedStroke:
         if count > 1:
             seen = ((strokes - mean) ** 2).sum() / (count - 1)
             faults = faults * ((count - 1) * seen / np.trace(faults, axis1=1, axis2=2).sum() + 1) / count
-        trembling = max(2 * ((mean - smooth) ** 2).mean(), (TREMBLING * np.ptp(smooth, axis=0).max()) ** 2, 0.01)
-        return cls(camera, smooth, faults / count + trembling * np.eye(COUNT))
+        least = max((TREMBLING * np.ptp(smooth, axis=0).max()) ** 2, 0.01)
+        return cls(camera, smooth, faults / count, max(2 * ((mean - PHI @ TO_WEIGHTS @ smooth) ** 2).mean(), least))
+
+    def sloppy(self, k: float) -> "ViewedStroke":
+        """The same stroke, of a hand with k times its smooth faults."""
+        return replace(self, faults=k**2 * self.faults)
+
+    @property
+    def covariance(self) -> np.ndarray:
+        """(2, COUNT, COUNT) [px^2] of all that is wrong, along each axis."""
+        return self.faults + self.trembling * np.eye(COUNT)
 
     @property
     def sigma(self) -> float:
         """RMS fault [px] along one axis."""
-        return float(np.sqrt(np.diagonal(self.faults, axis1=1, axis2=2).mean()))
+        return float(np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2).mean()))
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,18 +116,53 @@ def hand_faults(stroke) -> np.ndarray:
 
 
 def adjust(views: Sequence[ViewedStroke], start=None) -> Bundle:
-    """The most probable curve and lags. start: lags (V, COUNT) to begin with; None: several are tried, for two
-    views."""
-    begin = starts(*views) if start is None else [np.asarray(start, dtype=float)]
-    best = max((solve(views, lags, LAGS[1], BENDS[2]) for lags in begin), key=lambda bundle: bundle.evidence)
-    bends = {bend: solve(views, best.lags, LAGS[1], bend) for bend in BENDS}
-    bend = max(bends, key=lambda bend: bends[bend].evidence)
-    exact = [replace(view, faults=EXACT * view.faults) for view in views]
-    tried = [(views, lag) for lag in LAGS] + [(exact, lag) for lag in LAGS[1:]]
-    solved = [(solve(seen, bends[bend].lags, lag, bend), lag) for seen, lag in tried]
-    best, lag = max(solved, key=lambda option: option[0].evidence)
-    # However well the strokes meet, the hand may have strayed in all of them
-    return replace(best, covariance=solve(views, best.lags, lag, bend, steps=0).covariance)
+    """The most probable curve and lags; its covariance covers the others that were nearly as probable. start: lags (V,
+    COUNT) to begin with; None: several are tried, for two views."""
+    tried: list[Bundle] = []
+    best: list[Bundle] = []
+    for k in SLOPPINESS:
+        found = _adjusted([view.sloppy(k) for view in views], start if start is None else np.asarray(start, dtype=float))
+        tried, best = tried + found, [*best, max(found, key=_probable)]
+        if best[-1].evidence < max(map(_probable, best)) - EVEN:
+            break
+    likely = [bundle for bundle in best if bundle.evidence >= max(map(_probable, best)) - EVEN]
+    return _widened(likely[-1], tried)
+
+
+def _probable(bundle: Bundle) -> float:
+    return bundle.evidence
+
+
+def _adjusted(views, start) -> list[Bundle]:
+    """Curves for each size of the bend and of the lag, by hands as sloppy as the views say."""
+    begin = starts(*views) if start is None else [start]
+    begun = [_solved(views, lags, LAGS[1], BENDS[2]) for lags in begin]
+    bends = [_solved(views, max(begun, key=_probable).lags, LAGS[1], bend) for bend in BENDS]
+    bend = BENDS[max(range(len(BENDS)), key=lambda k: bends[k].evidence)]
+    best = max(bends, key=_probable)
+    return [*begun, *bends, *(_solved(views, best.lags, lag, bend) for lag in LAGS)]
+
+
+def _solved(views, lags, lag, bend) -> Bundle:
+    """What ``solve`` finds, its evidence with that of the prior."""
+    bundle = solve(views, lags, lag, bend)
+    return replace(bundle, evidence=bundle.evidence - (EVEN if bend[1] < ANY else 0.0))
+
+
+def _widened(best: Bundle, tried) -> Bundle:
+    """The best of the curves, with the mean square of all around it, and more."""
+    evidence = np.array([bundle.evidence for bundle in tried])
+    share = np.exp(BELIEF * (evidence - evidence.max()))
+    off = np.stack([(TO_WEIGHTS @ (_evenly(bundle) - _evenly(best))).ravel() for bundle in tried])
+    total = np.einsum("k,kij->ij", share, [bundle.covariance for bundle in tried]) + (off.T * share) @ off
+    return replace(best, covariance=DOUBT * total / share.sum())
+
+
+def _evenly(bundle: Bundle) -> np.ndarray:
+    """The curve's points (COUNT, 3) where the mean of the views' arc lengths is even, as for all that are compared."""
+    u = np.linspace(0, 1, COUNT)
+    at_even = np.interp(u, np.maximum.accumulate(u + bundle.lags.mean(axis=0)), u)
+    return at(bundle.points, at_even)
 
 
 def starts(a: ViewedStroke, b: ViewedStroke) -> list[np.ndarray]:
@@ -114,7 +172,7 @@ def starts(a: ViewedStroke, b: ViewedStroke) -> list[np.ndarray]:
     return [np.stack([-lag / 2, lag / 2]) for lag in lags]
 
 
-def solve(views: Sequence[ViewedStroke], lags, lag: float, bend: float, steps: int = 24) -> Bundle:
+def solve(views: Sequence[ViewedStroke], lags, lag: float, bend: tuple[float, float], steps: int = 24) -> Bundle:
     """The most probable curve and lags near ``lags`` (V, COUNT) for a size of the lag and of the bend."""
     problem = _Problem(views, lags, lag, bend)
     w, lags = problem.start(lags), np.asarray(lags, dtype=float)
@@ -137,19 +195,20 @@ class _Problem:
 
     def __init__(self, views, lags, lag, bend):
         self.views, self.u = views, np.linspace(0, 1, COUNT)
-        self.Phi = BASIS(self.u)
+        self.Phi = PHI
         self.Psi = np.kron(self.Phi, np.eye(3)).reshape(COUNT, 3, -1)
         kernel = np.exp(-((self.u[:, None] - self.u) ** 2) / (2 * LAG_LENGTH**2))
         self.L = lag**2 * (pinned(kernel) + 1e-8 * np.eye(COUNT))
         self.L_inverse = np.linalg.inv(self.L)
-        self.E_inverse = [np.linalg.inv(view.faults) for view in views]
+        self.E_inverse = [np.linalg.inv(view.covariance) for view in views]
         self.x = triangulate([at(v.mean, self.u + l) for v, l in zip(views, lags, strict=True)], [v.camera for v in views])
         extent = max(float(np.ptp(self.x, axis=0).max()), 1e-6)
-        Q = smoothness_penalty(BASIS) / (bend * extent) ** 2 + 1e-7 / extent**2 * np.eye(BASIS.count)
+        Q = sum(penalty / (size * extent) ** 2 for penalty, size in zip(PENALTIES, bend, strict=True))
+        Q = Q + 1e-7 / extent**2 * np.eye(BASIS.count)
         self.Q = np.kron(Q, np.eye(3))
 
     def start(self, lags):
-        return (projection(BASIS, self.u, np.ones(COUNT), 1e-7) @ self.x).ravel()
+        return (TO_WEIGHTS @ self.x).ravel()
 
     def residuals(self, w, lags):
         """z_v(u + l_v) - pi_v(x) (COUNT, 2) [px] of each view."""
@@ -172,7 +231,7 @@ class _Problem:
             g = (at(view.mean, self.u + lag + h) - at(view.mean, self.u + lag - h)) / (2 * h)
             H = (view.camera.jacobian(x) @ self.Psi).reshape(2 * COUNT, -1)
             y = (r - g * lag[:, None]).ravel() + H @ w
-            root = np.linalg.cholesky(self._spread(view.faults, g))
+            root = np.linalg.cholesky(self._spread(view.covariance, g))
             white = solve_triangular(root, np.column_stack([H, y]), lower=True, check_finite=False)
             A += white[:, :-1].T @ white[:, :-1]
             b += white[:, :-1].T @ white[:, -1]

@@ -116,7 +116,7 @@ def _contradicting(views) -> tuple[int | None, list[int], np.ndarray]:
 
 def _trembling(view: ViewedStroke) -> ViewedStroke:
     extent = max(float(np.ptp(view.mean, axis=0).max()), 1.0)
-    return replace(view, faults=view.faults + (TREMBLING * extent) ** 2 * np.eye(COUNT))
+    return replace(view, trembling=view.trembling + (TREMBLING * extent) ** 2)
 
 
 def anything(view: ViewedStroke) -> float:
@@ -124,7 +124,7 @@ def anything(view: ViewedStroke) -> float:
     u, size = np.linspace(0, 1, COUNT), (view.camera.width, view.camera.height)
     shape = (ANYHOW * np.ptp(view.mean, axis=0).max()) ** 2 * np.exp(-((u[:, None] - u) ** 2) / (2 * LENGTH**2))
     total = 0.0
-    for axis, faults in enumerate(view.faults):
+    for axis, faults in enumerate(view.covariance):
         root = np.linalg.cholesky(faults + shape + (ANYWHERE * view.camera.width) ** 2)
         white = np.linalg.solve(root, view.mean[:, axis] - size[axis] / 2)
         total -= np.log(np.diag(root)).sum() + 0.5 * white @ white

@@ -21,11 +21,14 @@ SMOOTH_LENGTH = 0.13
 """Correlation length of the smooth deviation in normalised time."""
 
 
-def smoothness_penalty(basis, count: int = 400) -> np.ndarray:
-    """(M, M) matrix P with w^T P w = integral of xi''(t)^2 over [0, 1]."""
+def smoothness_penalty(basis, count: int = 400, order: int = 2) -> np.ndarray:
+    """(M, M) matrix P with w^T P w = integral over [0, 1] of the square of xi's derivative of that order."""
     t = np.linspace(0, 1, count)
-    second = np.gradient(np.gradient(basis(t), t, axis=0), t, axis=0)[2:-2]
-    return second.T @ second / len(second)
+    derivative = basis(t)
+    for _ in range(order):
+        derivative = np.gradient(derivative, t, axis=0)
+    inside = derivative[order:-order]
+    return inside.T @ inside / len(inside)
 
 
 def projection(basis, t, weights, smoothness: float) -> np.ndarray:

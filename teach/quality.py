@@ -15,6 +15,9 @@ from teach.sketch import Sketch, ray_angle
 TIMES = np.linspace(0, 1, 50)
 WEAK, LEAST = 1.6, 0.004
 """A stretch is weak where the mean is this many times as uncertain as on the median, and by at least this [m]."""
+STRAYED, STRAYED_PX = 2.0, 0.01
+"""The mean strays from a view's strokes if its picture misses their mean by so many times their deviation from it, and by at
+least this share of the picture's width."""
 LEVEL, LEVEL_DEG = 0.3, 10.0
 """A motion is level with its cameras if more than this share of it is, to within this angle."""
 
@@ -35,6 +38,7 @@ def quality(drawn: Sequence[Sketch], strokes, distribution, uncertainty) -> dict
         "ray_angle_deg": float(max(ray_angle(a, b) for k, a in enumerate(drawn) for b in drawn[:k])),
         "reprojection_px": {},
         "stroke_px": {},
+        "spread_px": {},
         "weakest": weak,
         "sentence": _sentence(1000 * doubt, weak),
     }
@@ -42,6 +46,7 @@ def quality(drawn: Sequence[Sketch], strokes, distribution, uncertainty) -> dict
     for sketch, points in zip(drawn, strokes, strict=True):
         miss = points - sketch.camera.project(mean)
         report["reprojection_px"][sketch.view] = float(np.linalg.norm(miss.mean(axis=0), axis=-1).mean())
+        report["spread_px"][sketch.view] = float(np.sqrt(((points - points.mean(axis=0)) ** 2).sum(axis=-1).mean()))
         report["stroke_px"][sketch.view] = np.linalg.norm(miss, axis=-1).mean(axis=-1).round(2).tolist()
     return report
 
@@ -88,9 +93,9 @@ def level(cameras, x) -> np.ndarray:
     return np.max(out, axis=0) < np.sin(np.radians(LEVEL_DEG))
 
 
-def warnings(drawn: Sequence[Sketch], x, residual, angle: float, counts) -> list[str]:
-    """Sentences on what was drawn that a person should know. x: (T, 3) [m], the motion; residual: reprojection_px; counts:
-    of intersections."""
+def warnings(drawn: Sequence[Sketch], x, residual, spread, angle: float, counts) -> list[str]:
+    """Sentences on what was drawn that a person should know. x: (T, 3) [m], the motion; residual: reprojection_px; spread:
+    spread_px; counts: of intersections."""
     sentences = []
     if (share := level([sketch.camera for sketch in drawn], x).mean()) > LEVEL:
         sentences.append(
@@ -108,7 +113,7 @@ def warnings(drawn: Sequence[Sketch], x, residual, angle: float, counts) -> list
         outside = np.mean([1 - sketch.camera.contains(stroke.points).mean() for stroke in sketch.motions])
         if outside > 0:
             sentences.append(f"{outside:.0%} of what is drawn on view {sketch.view} lies outside the picture.")
-        if (miss := residual[sketch.view]) > 0.05 * sketch.camera.width:
+        if (miss := residual[sketch.view]) > max(STRAYED * spread[sketch.view], STRAYED_PX * sketch.camera.width):
             sentences.append(f"The strokes on view {sketch.view} miss the motion by {miss:.0f} px; draw them again.")
         if len(sketch.motions) < 2:
             sentences.append(f"View {sketch.view} has one stroke: how far the motion may vary is a guess; draw three.")

@@ -199,7 +199,7 @@ def _from_rays(drawn, common, parts, weights: _Weights, seed: int, seen):
     report["intersections"] = met.counts.tolist()
     report["noise"] = {sketch.view: density.noise for sketch, density in zip(drawn, densities, strict=True)}
     report["contradicting"] = {view: miss if np.isfinite(miss) else None for view, miss in left_out.items()}
-    seen_as = report["reprojection_px"], report["ray_angle_deg"], met.counts
+    seen_as = report["reprojection_px"], report["spread_px"], report["ray_angle_deg"], met.counts
     report["warnings"] = sentences + warnings(drawn, distribution.mean_at(TIMES), *seen_as)
     return distribution, report
 

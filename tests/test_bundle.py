@@ -1,9 +1,14 @@
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from scene.camera import Camera, look_at
 from teach.bundle import COUNT, ViewedStroke, adjust, hand_faults, pinned, solve, starts, triangulate
+from teach.curve import resample
 from teach.epipolar import at
+from teach.metrics import frechet
+from teach.quality import level
 
 TARGET = np.array([0.5, 0.0, 0.4])
 EYES = ((-0.3, -0.9, 0.9), (1.3, -0.7, 0.8), (0.4, 1.0, 1.1))
@@ -63,7 +68,7 @@ def test_lags_say_which_point_of_a_stroke_shows_a_point_of_the_curve():
 def test_evidence_prefers_the_right_correspondence():
     two = views(2)
     right = adjust(two)
-    wrong = [solve(two, np.stack([lag, -lag]), 0.03, 1.5, steps=0) for lag in (0.15 * np.sin(np.pi * U), -0.2 * np.sin(np.pi * U))]
+    wrong = [solve(two, np.stack([lag, -lag]), 0.03, (1.5, np.inf), steps=0) for lag in (0.15 * np.sin(np.pi * U), -0.2 * np.sin(np.pi * U))]
     assert right.evidence > max(bundle.evidence for bundle in wrong) + 10
 
 
@@ -83,3 +88,45 @@ def test_the_faults_of_a_hand_are_those_of_people_and_scale_with_the_strokes_spr
     rng = np.random.default_rng(1)
     near, far = (ViewedStroke.of(CAMERAS[0], stroke + rng.normal(0, size, (3, 1, 2))) for size in (2.0, 20.0))
     assert far.sigma > 1.4 * near.sigma
+
+
+def wave(seed):
+    """A smooth motion (300, 3) of about 0.4 m."""
+    rng, s = np.random.default_rng(seed), np.linspace(0, 1, 300)[:, None]
+    parts = [rng.normal(0, 0.12 / k, 3) * np.cos(np.pi * k * s) for k in (1, 2, 3)]
+    return TARGET + sum(parts)
+
+
+def pair(azimuth, apart, heights):
+    """Two cameras around the target; angles [deg]."""
+    angles, up = np.radians([azimuth, azimuth + apart]), np.radians(heights)
+    eyes = 1.5 * np.stack([np.cos(angles) * np.cos(up), np.sin(angles) * np.cos(up), np.sin(up)], axis=1) + TARGET
+    return [Camera.from_fov(look_at(eye, TARGET), 640, 480, 60) for eye in eyes]
+
+
+def drawn(curve, camera, count=1):
+    return ViewedStroke.of(camera, [resample(camera.project(curve), COUNT)] * count)
+
+
+@settings(max_examples=8, derandomize=True, deadline=None)
+@given(
+    st.integers(0, 10_000), st.floats(0, 360), st.floats(30, 110),
+    st.tuples(st.floats(10, 55), st.floats(10, 55)), st.integers(1, 3),
+)  # fmt: skip
+def test_strokes_drawn_exactly_meet_in_the_curve_and_its_pictures_are_the_strokes(seed, azimuth, apart, heights, count):
+    curve, cameras = wave(seed), pair(azimuth, apart, heights)
+    strokes = [drawn(curve, camera, count) for camera in cameras]
+    bundle = adjust(strokes)
+    for stroke, lag in zip(strokes, bundle.lags):
+        seen = at(stroke.mean, U + lag) - stroke.camera.project(bundle.points)
+        assert np.linalg.norm(seen, axis=1).max() < 3.0
+    if level(cameras, resample(curve, COUNT)).mean() < 0.3:  # where geometry says which points are the same
+        assert 1000 * frechet(resample(bundle.points, 200), resample(curve, 200)) < 12
+
+
+def test_a_motion_along_the_line_between_the_cameras_is_found_where_its_strokes_are_exact():
+    s = np.linspace(0, 1, 400)[:, None]
+    curve = np.hstack([0.1 * np.sin(3 * s), 0.5 * s - 0.25, 0.05 + 0.5 * s * (1 - s)])
+    cameras = [Camera.from_fov(look_at(eye, [0, 0, 0.1]), 640, 480, 50) for eye in ([1.0, 0.7, 0.8], [0.9, -0.8, 0.9])]
+    bundle = adjust([drawn(curve, camera) for camera in cameras])
+    assert frechet(resample(bundle.points, 200), resample(curve, 200)) < 0.006

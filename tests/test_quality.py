@@ -16,6 +16,8 @@ X = TARGET + np.stack([0.3 * T - 0.15, 0 * T, 0.1 * np.sin(3 * T)], axis=1)
 MEAN = projection(BASIS, T, np.ones(100), 1e-10) @ X
 HIGH = X + [0, 0, 0.3]
 SKETCHES = [Sketch(f"v{i}", c, tuple(Stroke(c.project(X) + k, T) for k in (-2, 0, 2))) for i, c in enumerate(CAMERAS)]
+CALM = {"v0": 0.0, "v1": 0.0}
+"""Spread [px] of a single stroke a view."""
 
 
 def assessed(uncertainty):
@@ -56,10 +58,17 @@ def test_contradicting_views_are_named_with_how_far_they_are_off():
 
 
 def test_what_a_person_should_know_is_said_in_sentences():
-    said = warnings(SKETCHES, HIGH, {"v0": 1.0, "v1": 40.0}, 8.0, np.array([0, 3, 4]))
+    said = warnings(SKETCHES, HIGH, {"v0": 1.0, "v1": 40.0}, CALM, 8.0, np.array([0, 3, 4]))
     assert len(said) == 3
     assert "At 1 of 3 times" in said[0] and "8 degrees apart" in said[1] and "v1 miss the motion by 40 px" in said[2]
-    assert warnings(SKETCHES, HIGH, {"v0": 1.0, "v1": 2.0}, 60.0, np.array([3])) == []
+    assert warnings(SKETCHES, HIGH, {"v0": 1.0, "v1": 2.0}, CALM, 60.0, np.array([3])) == []
+
+
+def test_a_mean_that_leaves_its_strokes_by_more_than_they_spread_is_told():
+    miss = {"v0": 1.0, "v1": 15.0}
+    said = warnings(SKETCHES, HIGH, miss, {"v0": 5.0, "v1": 7.0}, 60.0, np.array([3]))
+    assert len(said) == 1 and "v1 miss the motion by 15 px" in said[0]
+    assert warnings(SKETCHES, HIGH, miss, {"v0": 5.0, "v1": 8.0}, 60.0, np.array([3])) == []
 
 
 def test_a_motion_in_one_plane_with_the_cameras_is_told():
@@ -67,5 +76,5 @@ def test_a_motion_in_one_plane_with_the_cameras_is_told():
     assert level(CAMERAS, flat).all() and not level(CAMERAS, flat + np.outer(T, [0, 0, 0.4])).any()
     above = Camera.from_fov(look_at((0.5, 0.2, 2.0), TARGET, up=(1, 0, 0)), 640, 480, 55)
     assert not level([*CAMERAS, above], flat).all()  # a third view from above settles it
-    said = warnings(SKETCHES, flat, {"v0": 1.0, "v1": 2.0}, 60.0, np.array([3]))
+    said = warnings(SKETCHES, flat, {"v0": 1.0, "v1": 2.0}, CALM, 60.0, np.array([3]))
     assert len(said) == 1 and "100% of the motion runs in one plane with the cameras" in said[0]
