@@ -27,8 +27,6 @@ def model_of(job: Job, photographs: Path, out: Path, setting, progress: bool):
 
     source = recognise(photographs)
     size = {"max_size": job.cfg.scene.colmap.max_size, "progress": progress}
-    if job.capture.resolve() == source.folder.resolve():
-        raise ValueError(f"{source.folder} is both what is read and where the scene is written: say data=ANOTHER_FOLDER")
     if job.settings("scene.resection"):
         return _by_tags(job, source, out, setting, size)
     if not source.posed:

@@ -193,6 +193,8 @@ def fingerprint(job: Job) -> dict[str, str]:
     from scene.frame import choose
 
     source = recognise(photographs(job)) if job.cfg.photos or photographs(job).exists() else None
+    if source and job.capture.resolve() == source.folder.resolve():
+        raise ValueError(f"{source.folder} is both what is read and where the scene is written: say data=ANOTHER_FOLDER")
     files = {os.path.relpath(path, source.folder): path for path in source.files()} if source else {}
     _, chosen, others = choose(_beside(job), job.cfg.scene.frame.method, job.cfg.scene.frame.file)
     for path in (*([chosen] if chosen else []), *others):

@@ -2,7 +2,7 @@
 
 Notation
     z_v(s)      mean stroke of view v [px] at arc length s in [0, 1]
-    x(u)        the curve [m], x = Phi(u) w with N(w; 0, Q^-1): integrated squared acceleration and jerk of the sizes ``bend``^2
+    x(u)        the curve [m], x = Phi(u) w with N(w; 0, Q^-1): integrated squared jerk and acceleration of the size ``bend``^2
     l_v(u)      lag of a view: z_v(u + l_v(u)) shows x(u); a Gaussian process of the size ``lag``, 0 at both ends
     e_v(u)      fault of the view's hand: offset, size and smooth deviation [px], covariance k^2 E_v, and trembling
     k           how sloppy the hands are, of what people's are: about 1, or nearly 0 for strokes that were not drawn by one
@@ -33,16 +33,12 @@ COUNT = 100
 """Points at which a view is compared with the curve."""
 BASIS = SquaredExponential(24, 64.0)
 PHI = BASIS(np.linspace(0, 1, COUNT))
-PENALTIES = tuple(smoothness_penalty(BASIS, order=order) for order in (2, 3))
 TO_WEIGHTS = projection(BASIS, np.linspace(0, 1, COUNT), np.ones(COUNT), 1e-7)
 STARTS = (None, 0.06, 0.12, 0.25, 0.5)
 """Sizes of the lag with which dynamic programming looks for starts; None: no lag."""
-LAG_LENGTH, LAGS = 0.15, (0.03, 0.08, 0.16)
-"""The lag's correlation length, and its sizes to choose from, of the arc length."""
-ANY = np.inf
-BENDS = ((0.3, ANY), (0.7, ANY), (1.5, ANY), (4.0, ANY), (5.0, 5.0), (12.0, 12.0), (25.0, 25.0), (60.0, 60.0))
-"""Sizes of acceleration and of jerk, of the curve's extent, to choose from: nearly straight curves, and steadily bent ones, such
-as a bow from here to there, which are held as likely as one in e^EVEN."""
+LAG_LENGTH, LAGS, BENDS = 0.15, (0.03, 0.08, 0.16), (5.0, 12.0, 25.0, 60.0)
+"""The lag's correlation length; sizes of the lag, of the arc length, and of the bend, of the curve's extent, to choose
+from."""
 TREMBLING, SMOOTHING = 0.002, 1.5
 """Least deviation of what is not smooth in a mean stroke, of the drawing's extent; how far it is smoothed [points]."""
 SLOPPINESS = (1.0, 0.3, 0.1, 0.03)
@@ -50,9 +46,8 @@ SLOPPINESS = (1.0, 0.3, 0.1, 0.03)
 EVEN = 3.0
 """Log evidence that says little (Kass & Raftery 1995): within it strokes are taken for exact, since strokes of a hand taken
 so lose little, and exact ones taken for a hand's a lot."""
-BELIEF, DOUBT = 0.2, 1.5
-"""Power of the evidence by which other curves than the best widen its covariance, and what multiplies it: a hand is only a
-model of one."""
+BELIEF = 0.2
+"""Power of the evidence by which other curves than the best widen its covariance: a hand is only a model of one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,11 +113,11 @@ def hand_faults(stroke) -> np.ndarray:
 def adjust(views: Sequence[ViewedStroke], start=None) -> Bundle:
     """The most probable curve and lags; its covariance covers the others that were nearly as probable. start: lags (V,
     COUNT) to begin with; None: several are tried, for two views."""
-    tried: list[Bundle] = []
+    tried: list[list[Bundle]] = []
     best: list[Bundle] = []
     for k in SLOPPINESS:
-        found = _adjusted([view.sloppy(k) for view in views], start if start is None else np.asarray(start, dtype=float))
-        tried, best = tried + found, [*best, max(found, key=_probable)]
+        tried.append(_adjusted([view.sloppy(k) for view in views], start if start is None else np.asarray(start, dtype=float)))
+        best.append(max(tried[-1], key=_probable))
         if best[-1].evidence < max(map(_probable, best)) - EVEN:
             break
     likely = [bundle for bundle in best if bundle.evidence >= max(map(_probable, best)) - EVEN]
@@ -136,26 +131,26 @@ def _probable(bundle: Bundle) -> float:
 def _adjusted(views, start) -> list[Bundle]:
     """Curves for each size of the bend and of the lag, by hands as sloppy as the views say."""
     begin = starts(*views) if start is None else [start]
-    begun = [_solved(views, lags, LAGS[1], BENDS[2]) for lags in begin]
-    bends = [_solved(views, max(begun, key=_probable).lags, LAGS[1], bend) for bend in BENDS]
+    begun = [solve(views, lags, LAGS[1], BENDS[2]) for lags in begin]
+    bends = [solve(views, max(begun, key=_probable).lags, LAGS[1], bend) for bend in BENDS]
     bend = BENDS[max(range(len(BENDS)), key=lambda k: bends[k].evidence)]
     best = max(bends, key=_probable)
-    return [*begun, *bends, *(_solved(views, best.lags, lag, bend) for lag in LAGS)]
+    return [*begun, *bends, *(solve(views, best.lags, lag, bend) for lag in LAGS)]
 
 
-def _solved(views, lags, lag, bend) -> Bundle:
-    """What ``solve`` finds, its evidence with that of the prior."""
-    bundle = solve(views, lags, lag, bend)
-    return replace(bundle, evidence=bundle.evidence - (EVEN if bend[1] < ANY else 0.0))
+def _widened(best: Bundle, tried: list[list[Bundle]]) -> Bundle:
+    """The best of the curves, as uncertain as a person's strokes leave them, however well these meet: the hand may have strayed
+    in all views alike. Added is the mean square of all curves around the best."""
+    off = np.stack([(TO_WEIGHTS @ (_evenly(bundle) - _evenly(best))).ravel() for found in tried for bundle in found])
+    around = np.einsum("k,ki,kj->ij", _shares([bundle for found in tried for bundle in found]), off, off)
+    hands = np.einsum("k,kij->ij", _shares(tried[0]), [bundle.covariance for bundle in tried[0]])
+    return replace(best, covariance=hands + around)
 
 
-def _widened(best: Bundle, tried) -> Bundle:
-    """The best of the curves, with the mean square of all around it, and more."""
-    evidence = np.array([bundle.evidence for bundle in tried])
+def _shares(bundles) -> np.ndarray:
+    evidence = np.array([bundle.evidence for bundle in bundles])
     share = np.exp(BELIEF * (evidence - evidence.max()))
-    off = np.stack([(TO_WEIGHTS @ (_evenly(bundle) - _evenly(best))).ravel() for bundle in tried])
-    total = np.einsum("k,kij->ij", share, [bundle.covariance for bundle in tried]) + (off.T * share) @ off
-    return replace(best, covariance=DOUBT * total / share.sum())
+    return share / share.sum()
 
 
 def _evenly(bundle: Bundle) -> np.ndarray:
@@ -172,7 +167,7 @@ def starts(a: ViewedStroke, b: ViewedStroke) -> list[np.ndarray]:
     return [np.stack([-lag / 2, lag / 2]) for lag in lags]
 
 
-def solve(views: Sequence[ViewedStroke], lags, lag: float, bend: tuple[float, float], steps: int = 24) -> Bundle:
+def solve(views: Sequence[ViewedStroke], lags, lag: float, bend: float, steps: int = 24) -> Bundle:
     """The most probable curve and lags near ``lags`` (V, COUNT) for a size of the lag and of the bend."""
     problem = _Problem(views, lags, lag, bend)
     w, lags = problem.start(lags), np.asarray(lags, dtype=float)
@@ -203,8 +198,8 @@ class _Problem:
         self.E_inverse = [np.linalg.inv(view.covariance) for view in views]
         self.x = triangulate([at(v.mean, self.u + l) for v, l in zip(views, lags, strict=True)], [v.camera for v in views])
         extent = max(float(np.ptp(self.x, axis=0).max()), 1e-6)
-        Q = sum(penalty / (size * extent) ** 2 for penalty, size in zip(PENALTIES, bend, strict=True))
-        Q = Q + 1e-7 / extent**2 * np.eye(BASIS.count)
+        Q = (smoothness_penalty(BASIS, order=3) + smoothness_penalty(BASIS)) / (bend * extent) ** 2
+        Q += 1e-7 / extent**2 * np.eye(BASIS.count)
         self.Q = np.kron(Q, np.eye(3))
 
     def start(self, lags):

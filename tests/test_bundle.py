@@ -68,7 +68,7 @@ def test_lags_say_which_point_of_a_stroke_shows_a_point_of_the_curve():
 def test_evidence_prefers_the_right_correspondence():
     two = views(2)
     right = adjust(two)
-    wrong = [solve(two, np.stack([lag, -lag]), 0.03, (1.5, np.inf), steps=0) for lag in (0.15 * np.sin(np.pi * U), -0.2 * np.sin(np.pi * U))]
+    wrong = [solve(two, np.stack([lag, -lag]), 0.03, 1.5, steps=0) for lag in (0.15 * np.sin(np.pi * U), -0.2 * np.sin(np.pi * U))]
     assert right.evidence > max(bundle.evidence for bundle in wrong) + 10
 
 
