@@ -31,10 +31,10 @@ def test_a_motion_drawn_on_two_pictures_is_learned_checked_and_handed_on(visit, 
     tab.wait_for_selector("body[data-motion=shown]", timeout=60000)
     assert "known to about" in tab.inner_text("#sentence")
     learned = np.array(tab.evaluate("page.motion.ways[0].mean"))
-    meant = np.hstack([0.1 * np.sin(3 * FINE), 0.5 * FINE - 0.25, 0.05 + 0.5 * FINE * (1 - FINE)])
+    meant = np.hstack([0.1 * np.sin(3 * FINE), 0.5 * FINE - 0.25, 0.05 + 0.3 * FINE])
     off = np.linalg.norm(learned[:, None] - meant, axis=2).min(axis=1)  # whatever the speed at which a busy machine moved the mouse
-    assert np.median(off) < 0.05 and off.max() < 0.08, off.max()  # a single stroke a view
-    np.testing.assert_allclose(learned[[0, -1], 1], [-0.25, 0.25], atol=0.05)
+    assert np.median(off) < 0.01 and off.max() < 0.02, off.max()  # a single stroke a view
+    np.testing.assert_allclose(learned[[0, -1], 1], [-0.25, 0.25], atol=0.02)
     tab.click("#act >> text=Check")
     tab.wait_for_selector("#verdict:not([hidden])")
     assert tab.inner_text("#verdict") == "The arm cannot do it: the mean: finger touches cup at 40 %."
@@ -216,8 +216,8 @@ def test_two_fingers_zoom_with_every_tool_and_never_move_the_picture_or_leave_a_
         finger("touchStart", one, two)
         for share in np.linspace(0, 1, 6):
             finger("touchMove", one - [90 * share, 60 * share], two + [90 * share, 60 * share])
-        at = np.array(places(tab, 0, under))
-        np.testing.assert_allclose(at, [one - [90, 60], two + [90, 60]], atol=3)  # what was under the fingers still is
+        spread = np.array([one - [90, 60], two + [90, 60]])
+        until(tab, lambda: np.abs(np.array(places(tab, 0, under)) - spread).max() < 3)  # what was under the fingers still is
         finger("touchEnd", two + [90, 60])
         finger("touchMove", two)
         finger("touchStart", two, one)

@@ -113,10 +113,11 @@ def saved(tab) -> None:
     tab.wait_for_selector("#saving[data-state=saved]", timeout=20000)
 
 
-def until(tab, words: str, seconds: float = 20):
-    """The value of an expression once it is true: the page's policy lets no function be waited for."""
+def until(tab, words, seconds: float = 20):
+    """The value of an expression of the page, or of a function here, once it is true: the page's policy lets no function be
+    waited for."""
     for _ in range(int(20 * seconds)):
-        if value := tab.evaluate(words):
+        if value := words() if callable(words) else tab.evaluate(words):
             return value
         tab.wait_for_timeout(50)
     raise AssertionError(f"never true: {words}")
@@ -124,5 +125,5 @@ def until(tab, words: str, seconds: float = 20):
 
 def motion(view: int, shift=0.0) -> np.ndarray:
     t = np.linspace(0, 1, 30)[:, None]
-    curve = np.hstack([0.1 * np.sin(3 * t), 0.5 * t - 0.25, 0.05 + 0.5 * t * (1 - t)])
+    curve = np.hstack([0.1 * np.sin(3 * t), 0.5 * t - 0.25, 0.05 + 0.3 * t])  # it rises: no stroke runs along the other view's epipolar lines
     return list(VIEWS.values())[view].project(curve) + shift
