@@ -18,6 +18,7 @@ highest evidence (Laplace's approximation), from the best of several starts that
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from operator import attrgetter
 
 import numpy as np
 from jaxtyping import Float
@@ -33,6 +34,7 @@ COUNT = 100
 """Points at which a view is compared with the curve."""
 BASIS = SquaredExponential(24, 64.0)
 PHI = BASIS(np.linspace(0, 1, COUNT))
+BENDING = smoothness_penalty(BASIS, order=3) + smoothness_penalty(BASIS)
 TO_WEIGHTS = projection(BASIS, np.linspace(0, 1, COUNT), np.ones(COUNT), 1e-7)
 STARTS = (None, 0.06, 0.12, 0.25, 0.5)
 """Sizes of the lag with which dynamic programming looks for starts; None: no lag."""
@@ -43,6 +45,7 @@ TREMBLING, SMOOTHING = 0.002, 1.5
 """Least deviation of what is not smooth in a mean stroke, of the drawing's extent; how far it is smoothed [points]."""
 SLOPPINESS = (1.0, 0.3, 0.1, 0.03)
 """Values of k, in the order in which they are tried until the evidence falls."""
+EVIDENCE = attrgetter("evidence")
 EVEN = 3.0
 """Log evidence that says little (Kass & Raftery 1995): within it strokes are taken for exact, since strokes of a hand taken
 so lose little, and exact ones taken for a hand's a lot."""
@@ -113,28 +116,23 @@ def hand_faults(stroke) -> np.ndarray:
 def adjust(views: Sequence[ViewedStroke], start=None) -> Bundle:
     """The most probable curve and lags; its covariance covers the others that were nearly as probable. start: lags (V,
     COUNT) to begin with; None: several are tried, for two views."""
+    begin = starts if start is None else lambda *_: [np.asarray(start, dtype=float)]
     tried: list[list[Bundle]] = []
     best: list[Bundle] = []
     for k in SLOPPINESS:
-        tried.append(_adjusted([view.sloppy(k) for view in views], start if start is None else np.asarray(start, dtype=float)))
-        best.append(max(tried[-1], key=_probable))
-        if best[-1].evidence < max(map(_probable, best)) - EVEN:
+        tried.append(_adjusted([view.sloppy(k) for view in views], begin))
+        best.append(max(tried[-1], key=EVIDENCE))
+        if best[-1].evidence < max(map(EVIDENCE, best)) - EVEN:
             break
-    likely = [bundle for bundle in best if bundle.evidence >= max(map(_probable, best)) - EVEN]
-    return _widened(likely[-1], tried)
+    least = max(map(EVIDENCE, best)) - EVEN
+    return _widened([bundle for bundle in best if bundle.evidence >= least][-1], tried)
 
 
-def _probable(bundle: Bundle) -> float:
-    return bundle.evidence
-
-
-def _adjusted(views, start) -> list[Bundle]:
+def _adjusted(views, begin) -> list[Bundle]:
     """Curves for each size of the bend and of the lag, by hands as sloppy as the views say."""
-    begin = starts(*views) if start is None else [start]
-    begun = [solve(views, lags, LAGS[1], BENDS[2]) for lags in begin]
-    bends = [solve(views, max(begun, key=_probable).lags, LAGS[1], bend) for bend in BENDS]
-    bend = BENDS[max(range(len(BENDS)), key=lambda k: bends[k].evidence)]
-    best = max(bends, key=_probable)
+    begun = [solve(views, lags, LAGS[1], BENDS[2]) for lags in begin(*views)]
+    bends = [solve(views, max(begun, key=EVIDENCE).lags, LAGS[1], bend) for bend in BENDS]
+    best, bend = max(zip(bends, BENDS, strict=True), key=lambda option: option[0].evidence)
     return [*begun, *bends, *(solve(views, best.lags, lag, bend) for lag in LAGS)]
 
 
@@ -198,8 +196,7 @@ class _Problem:
         self.E_inverse = [np.linalg.inv(view.covariance) for view in views]
         self.x = triangulate([at(v.mean, self.u + l) for v, l in zip(views, lags, strict=True)], [v.camera for v in views])
         extent = max(float(np.ptp(self.x, axis=0).max()), 1e-6)
-        Q = (smoothness_penalty(BASIS, order=3) + smoothness_penalty(BASIS)) / (bend * extent) ** 2
-        Q += 1e-7 / extent**2 * np.eye(BASIS.count)
+        Q = BENDING / (bend * extent) ** 2 + 1e-7 / extent**2 * np.eye(BASIS.count)
         self.Q = np.kron(Q, np.eye(3))
 
     def start(self, lags):

@@ -3,21 +3,17 @@
 import numpy as np
 import pytest
 import torch
+from fields import random_field
 
-from scene.field import Field, Shading, kernels, volume
+from scene.field import kernels, volume
 from scene.field.descent import KernelDescent, Rates
-from scene.field.grid import BRICK, Grid, interpolate
-from scene.field.occupancy import Occupancy, cells, contract
+from scene.field.grid import BRICK, interpolate
+from scene.field.occupancy import cells, contract
 
 
 @pytest.fixture
 def field():
-    rng = np.random.default_rng(0)
-    occupied = rng.random((16, 16, 16)) < 0.5
-    grid = Grid.empty().with_level(16, occupied).with_level(48, occupied)
-    grid.values[BRICK**3 :] = rng.normal(0, 0.7, grid.values[BRICK**3 :].shape)
-    shading = Shading(np.float32([0.2, 0.5, 0.9]), *(rng.normal(0, 0.3, s).astype(np.float32) for s in ((16, 12), (12, 3))))
-    return Field(np.zeros(3), 1.0, grid, shading, Occupancy.of(occupied), step=0.05, scale=4.0, shift=-1.0, near=0.02)
+    return random_field(0.5)
 
 
 @pytest.fixture

@@ -6,14 +6,15 @@ from copy import deepcopy
 import numpy as np
 import pytest
 import torch
+from fields import random_field
 
 from scene import fit as training
 from scene.camera import Camera, View, look_at, orbit
-from scene.field import Field, Shading, walk
+from scene.field import Field, walk
 from scene.field.descent import KernelDescent, Rates
 from scene.field.device import chosen
-from scene.field.grid import BRICK, Grid
-from scene.field.occupancy import Occupancy, contract
+from scene.field.grid import BRICK
+from scene.field.occupancy import contract
 from scene.field.torch_descent import TorchDescent
 from scene.field.volume import psnr
 from scene.fit import fit
@@ -29,12 +30,7 @@ def device(request):
 
 @pytest.fixture
 def field():
-    rng = np.random.default_rng(0)
-    occupied = rng.random((16, 16, 16)) < 0.4
-    grid = Grid.empty().with_level(16, occupied).with_level(48, occupied)
-    grid.values[BRICK**3 :] = rng.normal(0, 0.7, grid.values[BRICK**3 :].shape)
-    shading = Shading(np.float32([0.2, 0.5, 0.9]), *(rng.normal(0, 0.3, s).astype(np.float32) for s in ((16, 12), (12, 3))))
-    return Field(np.zeros(3), 1.0, grid, shading, Occupancy.of(occupied), step=0.05, scale=4.0, shift=-1.0, near=0.02)
+    return random_field(0.4)
 
 
 @pytest.fixture
