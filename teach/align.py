@@ -3,7 +3,8 @@
 Notation
     s        arc length along a stroke over its whole, in [0, 1], measured with a ruler: along chords of one ruler's
              length, so that a hand's trembling, which adds length where it draws slowly, adds none
-    u        moment of the motion in [0, 1]: the same for all strokes; "aligned" by teach.bundle, else s or drawn time
+    u        moment of the motion in [0, 1]: the same for all strokes; "aligned" by teach.repeats within a view and by
+             teach.bundle between views, else s or drawn time
     t(u)     normalised time of the skill: how fast people drew, the median over strokes of d(drawn time) / du
 """
 
@@ -14,10 +15,11 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.ndimage import gaussian_filter1d
 
-from teach.bundle import BASIS, COUNT, Bundle, ViewedStroke
+from teach.bundle import BASIS, COUNT, Bundle, ViewedStroke, pinned
 from teach.consensus import consensus
 from teach.epipolar import fundamental, lag_between
-from teach.likelihood import projection
+from teach.likelihood import DRIFT, DRIFT_LENGTH, as_people, projection
+from teach.repeats import lags_of_repeats
 from teach.sketch import Event, Sketch, SketchError, Stroke
 
 COMMON = ("aligned", "arc_length", "drawn")
@@ -32,7 +34,8 @@ SMOOTHING, SLOWEST = 0.05, 4.0
 class CommonTime:
     """times: for each motion stroke of each sketch those of its points (N,), not decreasing, in [0, 1]. agree: (V,),
     which views draw the same motion. off: (V,) [px], how far each is from it; nan where nobody looked. rivals: views that
-    may contradict instead of one that does not agree. gain: log evidence that those that agree show one motion. bundle: what "aligned" found. time: (COUNT,), of its moments."""
+    may contradict instead of one that does not agree. gain: log evidence that those that agree show one motion. bundle: what "aligned"
+    found. drift: RMS of how far a view's strokes run ahead of each other or behind, of the arc length. time: (COUNT,), of even moments."""
 
     times: list[list[np.ndarray]]
     agree: Bool[np.ndarray, " V"]
@@ -40,6 +43,7 @@ class CommonTime:
     rivals: tuple[int, ...] = ()
     gain: float = np.inf
     bundle: Bundle | None = None
+    drift: float = 0.0
     time: Float[np.ndarray, " N"] | None = None
 
     def uncertainty(self, basis, smoothness: float) -> np.ndarray:
@@ -51,8 +55,22 @@ class CommonTime:
         Psi = np.kron(BASIS(np.linspace(0, 1, COUNT)), np.eye(3))
         spread = np.einsum("tab,tbuc,udc->taud", across, (Psi @ self.bundle.covariance @ Psi.T).reshape(COUNT, 3, COUNT, 3), across,
                            optimize=True).reshape(3 * COUNT, -1)  # fmt: skip
+        return self._of_weights((spread + spread.T) / 2, basis, smoothness)
+
+    def drifting(self, basis, mean, smoothness: float) -> np.ndarray:
+        """(3M, 3M) [m^2] covariance of the weights, of mean (M, 3), of strokes that run ahead or behind by ``drift``."""
+        if self.drift == 0:
+            return np.zeros((mean.size, mean.size))
+        u = np.linspace(0, 1, COUNT)
+        drift = pinned(np.exp(-((u[:, None] - u) ** 2) / (2 * DRIFT_LENGTH**2)))
+        velocity = np.gradient(basis(self.time) @ mean, u, axis=0)
+        spread = velocity[:, :, None, None] * drift[:, None, :, None] * velocity
+        return self._of_weights(self.drift**2 * spread.reshape(3 * COUNT, -1) / np.diag(drift).mean(), basis, smoothness)
+
+    def _of_weights(self, spread, basis, smoothness: float) -> np.ndarray:
+        """The covariance of points at even moments (3 COUNT, 3 COUNT) as one of weights."""
         G = np.kron(projection(basis, self.time, np.gradient(self.time), smoothness), np.eye(3))
-        return G @ (spread + spread.T) @ G.T / 2
+        return G @ spread @ G.T
 
 
 def common_times(sketches: Sequence[Sketch], time: str = "aligned", speed: str = "drawn", robust: bool = True) -> CommonTime:
@@ -66,7 +84,9 @@ def common_times(sketches: Sequence[Sketch], time: str = "aligned", speed: str =
     if time == "drawn":
         return CommonTime([[drawn(stroke) for stroke in sketch.motions] for sketch in sketches], everyone, unknown)
     moments = [[arc_length(stroke) for stroke in sketch.motions] for sketch in sketches]
-    length = np.linspace(0, 1, COUNT)
+    length, drift = np.linspace(0, 1, COUNT), 0.0
+    if time == "aligned":
+        moments, drift = _together(sketches, moments)
     if time == "aligned" and len(sketches) > 1:
         found = consensus([viewed(sketch, along) for sketch, along in zip(sketches, moments, strict=True)], robust)
         everyone, unknown, more = found.agree, found.off, {name: getattr(found, name) for name in ("rivals", "gain", "bundle")}
@@ -74,13 +94,24 @@ def common_times(sketches: Sequence[Sketch], time: str = "aligned", speed: str =
         length = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(found.bundle.points, axis=0), axis=1))])
     u = np.linspace(0, 1, COUNT)
     t = length / length[-1] if speed == "uniform" else speed_profile(sketches, moments)
-    return CommonTime([[np.interp(moment, u, t) for moment in view] for view in moments], everyone, unknown, time=t, **more)
+    return CommonTime([[np.interp(moment, u, t) for moment in view] for view in moments], everyone, unknown, drift=drift, time=t, **more)
 
 
 def viewed(sketch: Sketch, along) -> ViewedStroke:
-    """The mean of a view's strokes at arc lengths ``along`` of their points."""
+    """The mean of a view's strokes; ``along``: moments of their points."""
     strokes = [resample(stroke, s, COUNT) for stroke, s in zip(sketch.motions, along, strict=True)]
     return ViewedStroke.of(sketch.camera, strokes)
+
+
+def _together(sketches, along) -> tuple[list[list[np.ndarray]], float]:
+    """For each view the moments that its strokes have in common, of each of their points, given their arc lengths; and
+    their RMS drift."""
+    u, moments, squares, free = np.linspace(0, 1, COUNT), [], 0.0, 0
+    for sketch, view in zip(sketches, along, strict=True):
+        lags = lags_of_repeats([resample(stroke, s, COUNT) for stroke, s in zip(sketch.motions, view, strict=True)])
+        moments.append([np.interp(s, monotone(u + lag), u) for s, lag in zip(view, lags, strict=True)])
+        squares, free = squares + (lags**2).mean(axis=1).sum(), free + len(lags) - 1
+    return moments, float(np.sqrt(as_people(squares / max(free, 1), DRIFT**2, free)))
 
 
 def _moments(along, found) -> list[list[np.ndarray]]:

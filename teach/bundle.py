@@ -18,16 +18,18 @@ highest evidence (Laplace's approximation), from the best of several starts that
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from operator import attrgetter
 
 import numpy as np
 from jaxtyping import Float
-from scipy.ndimage import gaussian_filter1d
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
+from scipy.ndimage import gaussian_filter1d
 
 from scene.camera import Camera, nearest_to_rays
 from teach.basis import SquaredExponential
-from teach.epipolar import at, fundamental, lag_between
+from teach.epipolar import fundamental, lag_between
+from teach.lag import at
 from teach.likelihood import OFFSET, SIZE, SMOOTH, SMOOTH_LENGTH, projection, smoothness_penalty
 
 COUNT = 100
@@ -38,8 +40,8 @@ BENDING = smoothness_penalty(BASIS, order=3) + smoothness_penalty(BASIS)
 TO_WEIGHTS = projection(BASIS, np.linspace(0, 1, COUNT), np.ones(COUNT), 1e-7)
 STARTS = (None, 0.06, 0.12, 0.25, 0.5)
 """Sizes of the lag with which dynamic programming looks for starts; None: no lag."""
-LAG_LENGTH, LAGS, BENDS = 0.15, (0.03, 0.08, 0.16), (5.0, 12.0, 25.0, 60.0)
-"""The lag's correlation length; sizes of the lag, of the arc length, and of the bend, of the curve's extent, to choose
+LAG_LENGTHS, LAGS, BENDS = (0.15, 0.3), (0.03, 0.08, 0.16), (5.0, 12.0, 25.0, 60.0)
+"""Correlation lengths and sizes of the lag, of the arc length, and sizes of the bend, of the curve's extent, to choose
 from."""
 TREMBLING, SMOOTHING = 0.002, 1.5
 """Least deviation of what is not smooth in a mean stroke, of the drawing's extent; how far it is smoothed [points]."""
@@ -129,11 +131,11 @@ def adjust(views: Sequence[ViewedStroke], start=None) -> Bundle:
 
 
 def _adjusted(views, begin) -> list[Bundle]:
-    """Curves for each size of the bend and of the lag, by hands as sloppy as the views say."""
+    """Curves for each size of the bend, and each size and length of the lag, by hands as sloppy as the views say."""
     begun = [solve(views, lags, LAGS[1], BENDS[2]) for lags in begin(*views)]
     bends = [solve(views, max(begun, key=EVIDENCE).lags, LAGS[1], bend) for bend in BENDS]
     best, bend = max(zip(bends, BENDS, strict=True), key=lambda option: option[0].evidence)
-    return [*begun, *bends, *(solve(views, best.lags, lag, bend) for lag in LAGS)]
+    return [*begun, *bends, *(solve(views, best.lags, lag, bend, length) for length, lag in product(LAG_LENGTHS, LAGS))]
 
 
 def _widened(best: Bundle, tried: list[list[Bundle]]) -> Bundle:
@@ -165,9 +167,12 @@ def starts(a: ViewedStroke, b: ViewedStroke) -> list[np.ndarray]:
     return [np.stack([-lag / 2, lag / 2]) for lag in lags]
 
 
-def solve(views: Sequence[ViewedStroke], lags, lag: float, bend: float, steps: int = 24) -> Bundle:
-    """The most probable curve and lags near ``lags`` (V, COUNT) for a size of the lag and of the bend."""
-    problem = _Problem(views, lags, lag, bend)
+def solve(
+    views: Sequence[ViewedStroke], lags, lag: float, bend: float, length: float = LAG_LENGTHS[0], steps: int = 24
+) -> Bundle:
+    """The most probable curve and lags near ``lags`` (V, COUNT) for a size and a length of the lag and a size of the
+    bend."""
+    problem = _Problem(views, lags, lag, bend, length)
     w, lags = problem.start(lags), np.asarray(lags, dtype=float)
     cost, damping = problem.cost(w, lags), 1.0
     for _ in range(steps):
@@ -186,11 +191,11 @@ def solve(views: Sequence[ViewedStroke], lags, lag: float, bend: float, steps: i
 class _Problem:
     """The objective of ``solve`` and its Gauss-Newton step. w (3M,): weights, basis-major."""
 
-    def __init__(self, views, lags, lag, bend):
+    def __init__(self, views, lags, lag, bend, length):
         self.views, self.u = views, np.linspace(0, 1, COUNT)
         self.Phi = PHI
         self.Psi = np.kron(self.Phi, np.eye(3)).reshape(COUNT, 3, -1)
-        kernel = np.exp(-((self.u[:, None] - self.u) ** 2) / (2 * LAG_LENGTH**2))
+        kernel = np.exp(-((self.u[:, None] - self.u) ** 2) / (2 * length**2))
         self.L = lag**2 * (pinned(kernel) + 1e-8 * np.eye(COUNT))
         self.L_inverse = np.linalg.inv(self.L)
         self.E_inverse = [np.linalg.inv(view.covariance) for view in views]

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from teach.bundle import BENDS, COUNT, LAGS, Bundle, ViewedStroke, adjust, solve, starts
-from teach.epipolar import at, lag_behind
+from teach.lag import at, lag_behind
 from teach.sketch import SketchError
 
 SURE = 20.0
@@ -183,7 +183,7 @@ def _best(pairs, count: int) -> np.ndarray:
 def _solved(views, lags, steps: int = 24) -> Bundle | None:
     """The curve; None where it runs behind a camera."""
     try:
-        bundle = solve(views, lags, LAGS[1], BENDS[2], steps)
+        bundle = solve(views, lags, LAGS[1], BENDS[2], steps=steps)
     except (np.linalg.LinAlgError, ValueError):
         return None
     return bundle if np.isfinite(bundle.evidence) and np.isfinite(bundle.points).all() else None

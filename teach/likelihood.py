@@ -14,11 +14,18 @@ offset, a size and a smooth deviation, in the proportions measured on letters pe
 
 import numpy as np
 
-OFFSET, SIZE, SMOOTH = 0.03, 0.045, 0.038
-"""How a person's repetitions of a drawing differ, RMS: of the motion's extent, the size of its own. Only proportions
-count."""
-SMOOTH_LENGTH = 0.13
-"""Correlation length of the smooth deviation in normalised time."""
+OFFSET, SIZE, SMOOTH, DRIFT = 0.03, 0.045, 0.038, 0.006
+"""How a person's repetitions of a drawing differ, RMS: of the motion's extent, the size of its own, the drift of the arc
+length."""
+SMOOTH_LENGTH, DRIFT_LENGTH = 0.13, 0.1
+"""Correlation lengths of the smooth deviation in normalised time, of the drift in arc length."""
+PEOPLE = 1.0
+"""Strokes that what is known of people counts as: a few drawn in a row are more alike than others will be."""
+
+
+def as_people(seen, known: float, free: int):
+    """A variance seen in ``free`` independent strokes, drawn towards that known of people."""
+    return (free * seen + PEOPLE * known) / (free + PEOPLE)
 
 
 def smoothness_penalty(basis, count: int = 400, order: int = 2) -> np.ndarray:
@@ -99,7 +106,7 @@ def fit_coherent(observations, prior, strength: float, steps: int = 30) -> np.nd
     """S (3M, 3M) [m^2] by EM, the most probable under an inverse Wishart prior worth ``strength`` strokes.
 
     observations: for each view H (2T, 3M) [px/m] and the residuals (n, 2T) [px] of its strokes from their mean. prior:
-    (3M, 3M) [m^2], whose scale is set by the residuals' moments first. n strokes around their own mean vary by (n - 1)
+    (3M, 3M) [m^2], a person's, its scale drawn towards the residuals' moments first. n strokes around their own mean vary by (n - 1)
     / n only.
     """
     observations = [(H, r * np.sqrt(len(r) / (len(r) - 1))) for H, r in observations if len(r) > 1]
@@ -109,7 +116,8 @@ def fit_coherent(observations, prior, strength: float, steps: int = 30) -> np.nd
     noise = _noise(observations)
     expected = sum(len(r) * np.einsum("ij,jk,ik->", H, prior, H) for H, r in observations)
     seen = sum((r**2).sum() for _, r in observations)
-    S = prior = prior * max(seen - noise * numbers, 0.01 * seen) / expected
+    size = max(seen - noise * numbers, 0.01 * seen) / expected
+    S = prior = prior * as_people(size, 1.0, count - len(observations))
     for _ in range(steps):
         scatter, misfit = np.zeros_like(S), 0.0
         for H, r in observations:

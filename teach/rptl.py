@@ -148,6 +148,7 @@ def _learn(drawn, common, parts, weights: _Weights, depths, offset: float, seed:
         mean, S, report = fit_surface(
             drawn[0], depths[drawn[0].view], common.times[0], weights.basis, count=POINTS, offset=offset, **how
         )
+        S = S + common.drifting(weights.basis, mean, weights.smoothness) if weights.covariance == "coherent" else S
         distribution = TrajectoryDistribution(weights.basis, mean, S)
     else:
         distribution, report = _from_rays(drawn, common, parts, weights, seed, seen)
@@ -192,7 +193,7 @@ def _from_rays(drawn, common, parts, weights: _Weights, seed: int, seen):
         S = np.diag(fit_diagonal(basis, grid, variance).ravel())
     elif weights.predictive:  # a further stroke of few is Student's t: its covariance, and how open the mean is
         freedom = weights.strength + sum(len(view) for view in strokes)
-        S = S * freedom / max(freedom - 2, 1) + open_
+        S = S * freedom / max(freedom - 2, 1) + open_ + common.drifting(basis, mean, weights.smoothness)
     distribution = TrajectoryDistribution(basis, mean, S)
     uncertainty = TrajectoryDistribution(basis, mean, open_).covariance_at(TIMES)
     report = quality(drawn, strokes, distribution, uncertainty)

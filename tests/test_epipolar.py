@@ -4,7 +4,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from scene.camera import Camera, look_at
-from teach.epipolar import at, fundamental, lag_behind, lag_between, sampson
+from teach.epipolar import fundamental, lag_between, sampson
+from teach.lag import at, lag_behind
 
 TARGET = np.array([0.5, 0.0, 0.4])
 CAMERAS = [Camera.from_fov(look_at(eye, TARGET), 640, 480, 55) for eye in ((-0.3, -0.9, 0.9), (1.3, -0.7, 0.8))]

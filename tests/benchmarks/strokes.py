@@ -27,7 +27,7 @@ from teach.sketch import Sketch, Stroke
 T = np.linspace(0, 1, 200)
 BOARD = np.array([0.55, 0.0, 0.45])
 EYES = ((-0.25, -0.75, 0.75), (-0.25, 0.75, 0.75), (-0.45, 0.05, 0.40))
-DRAWS = 10
+DRAWS = 50
 """Draws of five samples over which WD is averaged."""
 COLUMNS = ("MFD x", "WD x", "3D mm", "oracle", "inside", "area x", "s")
 
