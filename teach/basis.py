@@ -19,8 +19,8 @@ class SquaredExponential:
     gamma).
     """
 
-    count: int = 20
-    gamma: float = 50.0
+    count: int = 40
+    gamma: float = 200.0
 
     period = None
 

@@ -73,7 +73,7 @@ def taught(cfg):
 
 def test_one_option_chooses_all_of_the_papers_method(config):
     settings, chosen = taught(config("teach/rptl=paper"))
-    assert chosen == {"density": "joint_flow", "raytrace": "authors", "basis": "squared_exponential"}
+    assert chosen == {"density": "joint_flow", "raytrace": "authors", "basis": "authors"}
     rptl = settings["rptl"]
     assert (rptl["time"], rptl["covariance"], rptl["robust"], rptl["routes"], rptl["periodic"], rptl["predictive"]) == (
         "drawn", "diagonal", False, False, False, False,

@@ -13,7 +13,7 @@ from teach.likelihood import (
 )
 from teach.trajectory import TrajectoryDistribution
 
-BASIS = SquaredExponential()
+BASIS = SquaredExponential(20, 50.0)
 T = np.linspace(0, 1, 50)
 
 

@@ -11,7 +11,7 @@ from teach.trajectory import TrajectoryDistribution
 TARGET = np.array([0.5, 0.0, 0.4])
 EYES = ((-0.3, -0.9, 0.4), (1.4, -0.9, 0.4))
 CAMERAS = [Camera.from_fov(look_at(eye, TARGET), 640, 480, 55) for eye in EYES]
-BASIS, T = SquaredExponential(), np.linspace(0, 1, 100)
+BASIS, T = SquaredExponential(20, 50.0), np.linspace(0, 1, 100)
 X = TARGET + np.stack([0.3 * T - 0.15, 0 * T, 0.1 * np.sin(3 * T)], axis=1)
 MEAN = projection(BASIS, T, np.ones(100), 1e-10) @ X
 HIGH = X + [0, 0, 0.3]

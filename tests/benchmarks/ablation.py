@@ -2,7 +2,7 @@
 
     python tests/benchmarks/ablation.py letters ../shared/data/strokes --seeds 2     # letters drawn by a person
     python tests/benchmarks/ablation.py scripted --seeds 30 --modes own              # random motions, cameras and hands
-    python tests/benchmarks/ablation.py letters DIR --steps 00_paper 08_default teach/density=joint_flow_authors
+    python tests/benchmarks/ablation.py letters DIR --steps 00_paper 09_default teach/density=joint_flow_authors
 
 A row is the mean over all motions and seeds; columns are those of strokes.py. Hydra's overrides hold for every step.
 The same steps through the whole job, on the simulated scene: scene2skill -m experiment=ablation.
