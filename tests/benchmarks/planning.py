@@ -23,7 +23,7 @@ from robot.attempt import Search
 from robot.bullet import pybullet
 from robot.collision import CollisionModel
 from robot.world import World
-from robot.worldfile import pre_grasp
+from robot.variation import pre_grasp
 from scene.camera import Camera, look_at
 from teach.hand import Hand
 from teach.rptl import fit
