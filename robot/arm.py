@@ -158,11 +158,6 @@ class Arm:
         return self._tree(self.description.chain(self.tip_link)).arrays
 
     @property
-    def fingers(self) -> dict[str, float]:
-        """{joint of the gripper: value when open}."""
-        return dict(zip(self.gripper.joints, self.gripper.open.tolist()))
-
-    @property
     def beside_hand(self) -> tuple[str, ...]:
         """The links that can move against the tip: all but the hand's."""
         rigid = self.tree.rigid_groups
@@ -187,7 +182,8 @@ class Arm:
         )
 
     def _held(self, joint) -> float:
-        return float(self.fingers.get(joint.name, np.clip(0.0, joint.lower, joint.upper)))
+        opened = dict(zip(self.gripper.joints, self.gripper.open))
+        return float(opened.get(joint.name, np.clip(0.0, joint.lower, joint.upper)))
 
     # PyBullet
 
@@ -209,9 +205,9 @@ class Arm:
         return tuple(self._numbering[name] for name in self.joint_names)
 
     @property
-    def finger_indices(self) -> tuple[int, ...]:
-        """PyBullet's indices of the fingers' joints, in the order of ``fingers``."""
-        return tuple(self._numbering[name] for name in self.fingers)
+    def gripper_indices(self) -> tuple[int, ...]:
+        """PyBullet's indices of the gripper's joints."""
+        return tuple(self._numbering[name] for name in self.gripper.joints)
 
     @property
     def leg_indices(self) -> tuple[int, ...]:
@@ -219,9 +215,9 @@ class Arm:
         return tuple(self._numbering[name] for name in self.legs.joints) if self.legs else ()
 
     def spawn(self, client) -> int:
-        """Put the robot at the origin of the client's world, fixed, at home, fingers open. Returns the body's id."""
+        """Put the robot at the origin of the client's world, fixed, at home, its gripper open. Returns the body's id."""
         body = client.loadURDF(str(self.urdf), [0, 0, 0], [0, 0, 0, 1], useFixedBase=True)
-        values = zip((*self.joint_indices, *self.finger_indices), (*self.home, *self.fingers.values()))
+        values = zip((*self.joint_indices, *self.gripper_indices), (*self.home, *self.gripper.open))
         for index, value in values:
             client.resetJointState(body, index, float(value))
         for index, value in zip(self.leg_indices, self.walk([0.0], self.home[None]).joints[0] if self.legs else ()):

@@ -1,8 +1,8 @@
 """The arm as a body of the simulation: driven by motors, its gripper opened and closed, its touches told.
 
 Every joint's motor goes where it is told and as fast as it is told (velocity feed-forward), within the effort that the
-URDF allows. The gripper is the joints that the arm's file calls ``fingers``, of any kind: open as that says, closed at
-the limit that is farther from there, so that they press on what is between them.
+URDF allows. The gripper's joints, of any kind, go to where the arm's file has them open or closed, and press on what is
+between them.
 """
 
 import numpy as np
@@ -23,7 +23,7 @@ class Robot:
 
     def __init__(self, arm, client, start):
         self.client, self.body = client, arm.spawn(client)
-        self.joints, self.legs, self.fingers = list(arm.joint_indices), list(arm.leg_indices), list(arm.finger_indices)
+        self.joints, self.legs, self.fingers = list(arm.joint_indices), list(arm.leg_indices), list(arm.gripper_indices)
         legs = arm.walk([0.0], np.array(start)[None]).joints[0] if arm.legs else ()
         for joint, value in zip(self.joints + self.legs, (*start, *legs)):
             client.resetJointState(self.body, joint, float(value))

@@ -43,7 +43,7 @@ def test_every_link_is_where_pybullet_has_it(arm, client):
 def test_the_arm_is_spawned_at_home_with_open_fingers(arm, client):
     body = arm.spawn(client)
     assert client.getBasePositionAndOrientation(body)[0] == pytest.approx((0, 0, 0.05), abs=0.06)  # its centre of mass
-    state = [client.getJointState(body, j)[0] for j in (*arm.joint_indices, *arm.finger_indices)]
+    state = [client.getJointState(body, j)[0] for j in (*arm.joint_indices, *arm.gripper_indices)]
     np.testing.assert_allclose(state, [*arm.home, 0.04, 0.04])
 
 
@@ -232,7 +232,7 @@ def test_an_arm_of_ones_own_is_a_short_file(tmp_path):
     file.write_text("urdf: arm.urdf\ntip_link: b\nhome: [0.5]\ngripper: {joints: [k], open: [0.3], closed: [-0.1]}\n")
     arm = Arm.load(file)
     assert arm.joint_names == ("j",) and arm.tip_link == "b" and arm.home == 0.5
-    assert arm.gripper.joints == ("k",) and arm.fingers == {"k": 0.3} and arm.gripper.closed == -0.1
+    assert arm.gripper.joints == ("k",) and arm.gripper.open == 0.3 and arm.gripper.closed == -0.1
 
 
 @pytest.mark.parametrize(

@@ -60,7 +60,7 @@ class Pink:
         whole = pinocchio.buildModelFromUrdf(str(arm.urdf))
         held = [i for i, name in enumerate(whole.names) if i and name not in arm.joint_names]
         neutral = pinocchio.neutral(whole)
-        for name, value in arm.fingers.items():
+        for name, value in zip(arm.gripper.joints, arm.gripper.open):
             neutral[whole.joints[whole.getJointId(name)].idx_q] = value
         self.model = pinocchio.buildReducedModel(whole, held, neutral)
         self.model.lowerPositionLimit[:], self.model.upperPositionLimit[:] = arm.lower, arm.upper
