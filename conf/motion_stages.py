@@ -86,7 +86,7 @@ def plan(job: Job, out: Path) -> dict:
 
     skill = Skill.load(job.run / "skill.npz")
     spec, arm = mounted(job.settings("world"), setting(job, "robot.arm"))
-    with World.from_spec(_obstacles(job, skill, spec, arm), textured=False) as world:
+    with World.from_spec(_obstacles(job, skill, spec, arm, out / "cut"), textured=False) as world:
         world.bring_held(arm, arm.home)
         chosen = setting(job, "robot.planner")(skill, arm, world.obstacles, start=arm.home, seed=job.cfg.seed)
     chosen.save(out / "plan.npz")
@@ -105,21 +105,28 @@ def plan(job: Job, out: Path) -> dict:
     }
 
 
-def _obstacles(job: Job, skill, world: dict, arm) -> dict:
-    """The world that planning knows: the world's file, or what the photographs show."""
+def _obstacles(job: Job, skill, world: dict, arm, work: Path) -> dict:
+    """The world that planning knows: the world's file, or what the photographs show. work: a folder for pieces of that."""
     if not job.settings("robot.obstacles"):
         if job.cfg.photos:
             log.warning("  note: planned among the obstacles of world %s, not of the photographs; robot/obstacles=reconstruction does that", job.cfg.world.name)
         return world
     import numpy as np
 
-    from robot.obstacles import on_the_arm
+    from robot.obstacles import around, on_the_arm
+    from robot.variation import varied
     from scene.surface.space import Space
 
     start = arm.fk(arm.home)[:3, 3]
     paths = [way.distribution.mean_at(np.linspace(0, 1, 100)) for way in skill.starting_at(start)]
     space = Space.load(job.capture / "space.npz")
-    spec = setting(job, "robot.obstacles")(job.capture, space, np.concatenate(paths), on_the_arm(arm, arm.home))
+    touch = job.settings("robot.obstacles")["touch"]
+    if touch is None:
+        meant = [] if job.cfg.photos else world.get("touch", [])
+        touch = around(thing for thing in varied(world)["objects"] if thing["name"] in meant)
+    spec = setting(job, "robot.obstacles")(job.capture, space, np.concatenate(paths), on_the_arm(arm, arm.home), touch=touch, work=work)
+    if touch:
+        log.info("  the hand may touch what lies in the box%s of %s", "es" * (len(touch) > 1), ", ".join(box["name"] for box in touch))
     unseen = sum(thing["shape"] == "box" for thing in spec["objects"])
     log.info("  among %d pieces of the mesh and %d boxes of unseen space", len(spec["objects"]) - unseen, unseen)
     return spec | ({"held": world["held"]} if world.get("held") else {})

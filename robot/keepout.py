@@ -21,10 +21,16 @@ def regions_of(outlines, outlined_for, boxes) -> tuple[list[Region], dict[str, t
 
 def box_region(box) -> Region:
     """A Region from a box's mapping {name, lower, upper, links}. Raises ValueError where that is not one."""
-    if not {"name", "lower", "upper"} <= set(box) <= {"name", "lower", "upper", "links"}:
-        raise ValueError(f"a box to keep out of has a name, lower, upper and perhaps links, not {', '.join(map(str, box))}")
+    lower, upper = corners_of({key: value for key, value in box.items() if key != "links"})
+    corners = np.where(np.array(list(product((False, True), repeat=3))), upper, lower)
+    return Region(box["name"], ((corners, ConvexHull(corners).simplices),))
+
+
+def corners_of(box) -> tuple[np.ndarray, np.ndarray]:
+    """Lower and upper corner (3,) [m] of a box's mapping {name, lower, upper}. Raises ValueError where that is not one."""
+    if {"name", "lower", "upper"} != set(box):
+        raise ValueError(f"a box has a name, lower and upper (and one to keep out of perhaps links), not {', '.join(map(str, box))}")
     lower, upper = (np.array(box[key], dtype=float) for key in ("lower", "upper"))
     if lower.shape != (3,) or upper.shape != (3,) or not (lower < upper).all():
         raise ValueError(f"the box {box['name']} must have lower below upper, three numbers each [m]")
-    corners = np.where(np.array(list(product((False, True), repeat=3))), upper, lower)
-    return Region(box["name"], ((corners, ConvexHull(corners).simplices),))
+    return lower, upper

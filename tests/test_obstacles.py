@@ -1,10 +1,11 @@
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial import ConvexHull
 
 from robot.arm import Arm
 from robot.collision import WORLD, CollisionModel
-from robot.obstacles import on_the_arm, reconstructed, unseen
+from robot.obstacles import around, on_the_arm, reconstructed, split, unseen
 from robot.world import World
 from scene.surface.space import FREE, OCCUPIED, UNSEEN, Space
 
@@ -69,3 +70,50 @@ def test_points_on_the_arm_reach_from_its_base_to_its_links(arm):
 def test_without_pieces_it_is_said_how_to_make_them(tmp_path):
     with pytest.raises(FileNotFoundError, match="python -m scene.mesh"):
         reconstructed(tmp_path, None, np.zeros((1, 3)), np.zeros((1, 3)))
+
+
+def test_a_piece_is_cut_into_what_lies_in_a_box_and_what_does_not():
+    rng = np.random.default_rng(3)
+    for _ in range(20):
+        points, lower = rng.uniform(-1, 1, (12, 3)), rng.uniform(-0.9, 0.2, 3)
+        upper = lower + rng.uniform(0.2, 1.0, 3)
+        inside, outside = split(points, lower, upper)
+        parts = outside + [inside] * (inside is not None)
+        assert sum(ConvexHull(part).volume for part in parts) == pytest.approx(ConvexHull(points).volume, rel=1e-6)
+        if inside is not None:
+            assert (inside >= lower - 1e-9).all() and (inside <= upper + 1e-9).all()
+
+
+def test_a_box_beside_a_piece_leaves_it_whole():
+    points = np.random.default_rng(0).uniform(-1, 1, (12, 3))
+    inside, (outside,) = split(points, np.full(3, 2.0), np.full(3, 3.0))
+    assert inside is None and outside is points
+
+
+def test_the_hand_may_touch_what_it_is_to_touch_and_nothing_else_may(tmp_path, arm):
+    """One piece of the mesh is both a table and the parcel on it: the hand may come to the parcel, the table stays in its way."""
+    folder = capture(tmp_path, ([0.3, 0.8, 0.4], [0.5, 0.0, 0.0]))
+    touch = [{"name": "parcel", "lower": [0.3, -0.5, 0.1], "upper": [0.7, 0.5, 0.3]}]
+    spec = reconstructed(folder, None, np.zeros((1, 3)), np.zeros((1, 3)), touch=touch, work=tmp_path / "cut")
+    assert spec["touch"] == ["parcel_piece000"] and [thing["name"] for thing in spec["objects"]] == ["parcel_piece000", "piece000_0"]
+    pose = arm.fk(arm.home)
+    pose[:3, 3] = [0.5, 0.0, 0.17]
+    q = arm.ik(pose)
+    with World.from_spec(spec, textured=False) as world:
+        model = CollisionModel(arm, world.obstacles, only=dict.fromkeys(world.obstacles.touch, arm.beside_hand))
+        assert CollisionModel(arm, world.obstacles).measure(q)[0][0, WORLD] < 0 < model.measure(q)[0][0, WORLD] < 0.08
+        low = arm.ik(pose - np.array([[0, 0, 0, 0], [0, 0, 0, 0], [0, 0, 0, 0.15], [0, 0, 0, 0]]))
+        assert model.measure(low)[0][0, WORLD] < 0
+
+
+def test_boxes_around_things_hold_them_and_nothing_below(tmp_path):
+    thing = {"name": "parcel", "shape": "box", "size": [0.2, 0.1, 0.1], "position": [0.5, 0.0, 0.15], "rpy_deg": [0, 0, 90]}
+    (box,) = around([thing])
+    np.testing.assert_allclose(box["lower"], [0.43, -0.12, 0.1], atol=1e-9)
+    np.testing.assert_allclose(box["upper"], [0.57, 0.12, 0.22], atol=1e-9)
+
+
+def test_a_box_that_is_none_is_said(tmp_path):
+    folder = capture(tmp_path, ([0.3, 0.8, 0.4], [0.5, 0.0, 0.0]))
+    with pytest.raises(ValueError, match="the box parcel must have lower below upper"):
+        reconstructed(folder, None, np.zeros((1, 3)), np.zeros((1, 3)), touch=[{"name": "parcel", "lower": [1, 0, 0], "upper": [0, 1, 1]}])
