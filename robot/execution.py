@@ -11,8 +11,6 @@ own conditions (conditions.py), never the plan.
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
 from fractions import Fraction
-from pathlib import Path
-from zipfile import BadZipFile
 
 import av
 import numpy as np
@@ -22,7 +20,7 @@ from robot.gait import slipped
 from robot.simulated import STEP, Robot
 from robot.timing import motion_spline
 from scene.camera import Camera, look_at
-from scene.files import replacing
+from scene.files import parse_npz, replacing
 
 AT_REST, PATIENCE = 0.01, 3.0  # m/s; s after the motion that are waited for things to be slower
 STRIP = 6  # pictures of a filmstrip
@@ -116,14 +114,12 @@ class Execution:
     @classmethod
     def load(cls, path) -> "Execution":
         """Read what ``save`` wrote, with an empty film. Raises FileNotFoundError, or ValueError for any other file."""
-        if not Path(path).is_file():
-            raise FileNotFoundError(f"no execution file {path}")
-        try:
-            with np.load(path, allow_pickle=False) as file:
-                later = {"foot_slip": np.array(0.0)}  # earlier files have none
-                values = {f.name: file[f.name] if f.name in file else later[f.name] for f in fields(cls) if f.name != "frames"}
-        except (ValueError, KeyError, EOFError, OSError, BadZipFile) as error:
-            raise ValueError(f"{path} is not an execution file ({error}); robot.execute writes one") from None
+        return parse_npz(path, "an execution file", "robot.execute", cls._parsed)
+
+    @classmethod
+    def _parsed(cls, arrays) -> "Execution":
+        later = {"foot_slip": np.array(0.0)}  # earlier files have none
+        values = {f.name: (later | arrays)[f.name] for f in fields(cls) if f.name != "frames"}
         words = {name: tuple(values[name].tolist()) for name in WORDS}
         numbers = {name: values[name].item() for name in NUMBERS}
         return cls(**values | words | numbers, frames=NO_FILM)

@@ -1,14 +1,12 @@
 """Plan: a motion of the arm as it will be performed, with what was checked about it; its files."""
 
 from dataclasses import dataclass, fields, replace
-from pathlib import Path
-from zipfile import BadZipFile
 
 import numpy as np
 
 from robot.attempt import title
 from robot.timing import excess, motion_spline
-from scene.files import replacing
+from scene.files import parse_npz, replacing
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,7 +18,8 @@ class Plan:
     the arm to itself. tip (T, 3)
     [m]. refusals: a sentence for each refused candidate. samples: candidates tried. chosen: which is followed, 0 is the
     mean. way: of the skill's ways the one that is followed, the most usual is 0. feasible: whether the
-    motion passed every check; where False, ``joints`` are the least bad candidate, not to be performed.
+    motion passed every check; where False, ``joints`` are the least bad candidate, not to be performed. begins [s]: when the
+    taught motion does, after the way to where it begins. stands: where the robot goes to stand first, or would have to, and why.
     """
 
     times: np.ndarray
@@ -37,13 +36,14 @@ class Plan:
     way: int = 0
     moved: str = ""
     begins: float = 0.0
+    stands: str = ""
 
     @property
     def sentence(self) -> str:
         """What came of it, in one line."""
         if not self.feasible:
-            moved = f"; {self.moved}" * bool(self.moved)
-            return f"none of {self.samples} candidates is feasible; {self.refusals[self.chosen]}{moved}"
+            more = "".join(f"; {said}" for said in (self.moved, self.stands) if said)
+            return f"none of {self.samples} candidates is feasible; {self.refusals[self.chosen]}{more}"
         which = (title(self.chosen) if self.chosen >= 0 else self.moved) + f" (way {self.way + 1})" * (self.way > 0)
         feasible, clear, error = (
             self.samples - len(self.refusals),
@@ -53,7 +53,7 @@ class Plan:
         return (
             f"{which} is taken, {feasible} of {self.samples} candidates are feasible: {self.times[-1]:.1f} s, "
             f"at least {clear:.0f} mm clear of the world, position within {error:.2f} mm"
-        )
+        ) + f"; {self.stands}" * bool(self.stands)
 
     def joint_trajectory(self) -> dict:
         """In the layout of ROS 2's trajectory_msgs/JointTrajectory; the first point is the present state."""
@@ -74,7 +74,7 @@ class Plan:
 
     def save(self, path) -> None:
         """Write an npz file, whole or not at all."""
-        words = ("names", "refusals", "moved")
+        words = ("names", "refusals", "moved", "stands")
         values = {f.name: np.array(getattr(self, f.name), dtype=str if f.name in words else None) for f in fields(self)}
         with replacing(path) as temporary:
             np.savez(temporary, **values)
@@ -82,16 +82,14 @@ class Plan:
     @classmethod
     def load(cls, path) -> "Plan":
         """Read what ``save`` wrote. Raises FileNotFoundError, or ValueError for any other file."""
-        if not Path(path).is_file():
-            raise FileNotFoundError(f"no plan file {path}")
-        try:
-            with np.load(path, allow_pickle=False) as file:
-                later = {"way": np.array(0), "moved": np.array(""), "begins": np.array(0.0)}  # earlier files have none
-                values = {f.name: file[f.name] if f.name in file else later[f.name] for f in fields(cls)}
-        except (ValueError, KeyError, EOFError, OSError, BadZipFile) as error:
-            raise ValueError(f"{path} is not a plan file ({error}); robot.plan writes one") from None
+        return parse_npz(path, "a plan file", "robot.plan", cls._parsed)
+
+    @classmethod
+    def _parsed(cls, arrays) -> "Plan":
+        later = {"way": np.array(0), "moved": np.array(""), "begins": np.array(0.0), "stands": np.array("")}  # earlier files have none
+        values = {f.name: (later | arrays)[f.name] for f in fields(cls)}
         words = {name: tuple(values[name].tolist()) for name in ("names", "refusals")}
-        numbers = {name: values[name].item() for name in ("samples", "chosen", "feasible", "way", "moved", "begins")}
+        numbers = {name: values[name].item() for name in ("samples", "chosen", "feasible", "way", "moved", "begins", "stands")}
         return cls(**values | words | numbers)
 
     def after(self, lead, velocity, acceleration) -> "Plan":
@@ -100,4 +98,4 @@ class Plan:
         joined = lambda name: np.concatenate([getattr(lead, name), getattr(self, name)[1:]])
         slower = max(1.0, excess(times, joined("joints"), velocity, acceleration))
         rows = {name: joined(name) for name in ("joints", "position_error", "clearance", "self_clearance", "tip")}
-        return replace(self, times=slower * times, begins=slower * float(lead.times[-1]), **rows)
+        return replace(self, times=slower * times, begins=slower * float(lead.times[-1] + self.begins), **rows)

@@ -1,10 +1,13 @@
-"""Files are written whole or not at all: a killed job leaves no half file. What is read of JSON says what is wrong with it."""
+"""Files are written whole or not at all: a killed job leaves no half file. What is read says what is
+wrong with it."""
 
 import json
 import os
+import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from zipfile import BadZipFile
 
 
 @contextmanager
@@ -40,6 +43,22 @@ def read_yaml(path, missing: str):
         return yaml.safe_load(path.read_text(encoding="utf-8"))
     except yaml.YAMLError as error:
         raise ValueError(f"{path} is not YAML: {error}") from None
+
+
+def parse_npz(path: str | Path, what: str, writer: str, parse: Callable):
+    """parse({name: array} of an npz file). Raises FileNotFoundError, or ValueError that says what it is not, why, and what
+    writes one, such as ("a plan file", "robot.plan")."""
+    import numpy as np
+
+    path = Path(path)
+    if not path.is_file():
+        raise FileNotFoundError(f"no {path}: {writer} writes {what}")
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            return parse({name: file[name] for name in file.files})
+    except (ValueError, KeyError, TypeError, EOFError, OSError, BadZipFile, zlib.error) as error:
+        missing = "missing " * isinstance(error, KeyError)
+        raise ValueError(f"{path} is not {what} ({missing}{error}); {writer} writes one") from None
 
 
 def parse_json(path: str | Path, what: str, parse: Callable):

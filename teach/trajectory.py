@@ -8,13 +8,11 @@ Notation (Zhi et al. 2023, Section IV-B; Paraschos et al. 2013)
 
 import json
 from dataclasses import asdict, dataclass, field, replace
-from pathlib import Path
-from zipfile import BadZipFile
 
 import numpy as np
 from jaxtyping import Float
 
-from scene.files import replacing
+from scene.files import parse_npz, replacing
 from teach.basis import Periodic, SquaredExponential
 from teach.sketch import Event, Sketch, dumps, held, loads
 
@@ -246,24 +244,20 @@ class Skill:
     @classmethod
     def load(cls, path) -> "Skill":
         """Read what ``save`` wrote. Raises FileNotFoundError, or ValueError for any other file."""
-        if not Path(path).is_file():
-            raise FileNotFoundError(f"no skill file {path}")
-        try:
-            with np.load(path, allow_pickle=False) as file:
-                arrays = {name: file[name] for name in file.files}
-            text = json.loads(str(arrays["text"]))
-            if text["kind"] != "scene2skill.skill" or text["version"] not in (1, 2):
-                raise ValueError(f"version {text['version']!r} of {text['kind']!r}, expected 1 or 2 of "
-                                 "'scene2skill.skill'")
-            basis = _basis(**text["basis"])
-            distribution = TrajectoryDistribution(basis, arrays["mean"], arrays["covariance"])
-            parts = [arrays.get(f"route_{name}", ()) for name in ("shares", "means", "covariances")]
-            routes = tuple(Route(float(p), TrajectoryDistribution(basis, m, S)) for p, m, S in zip(*parts, strict=True))
-            events = tuple(Event(str(name), float(time)) for name, time in text["events"])
-            return cls(distribution, float(arrays["duration"]), events, text.get("hand") or arrays.get("orientation"),
-                       tuple(loads(text["keep_out"])), text["report"], routes, text.get("conditioning", "gaussian"))
-        except (ValueError, KeyError, TypeError, EOFError, OSError, BadZipFile) as error:
-            raise ValueError(f"{path} is not a skill file ({error}); teach.fit writes one") from None
+        return parse_npz(path, "a skill file", "teach.fit", cls._parsed)
+
+    @classmethod
+    def _parsed(cls, arrays) -> "Skill":
+        text = json.loads(str(arrays["text"]))
+        if text["kind"] != "scene2skill.skill" or text["version"] not in (1, 2):
+            raise ValueError(f"version {text['version']!r} of {text['kind']!r}, expected 1 or 2 of 'scene2skill.skill'")
+        basis = _basis(**text["basis"])
+        distribution = TrajectoryDistribution(basis, arrays["mean"], arrays["covariance"])
+        parts = [arrays.get(f"route_{name}", ()) for name in ("shares", "means", "covariances")]
+        routes = tuple(Route(float(p), TrajectoryDistribution(basis, m, S)) for p, m, S in zip(*parts, strict=True))
+        events = tuple(Event(str(name), float(time)) for name, time in text["events"])
+        return cls(distribution, float(arrays["duration"]), events, text.get("hand") or arrays.get("orientation"),
+                   tuple(loads(text["keep_out"])), text["report"], routes, text.get("conditioning", "gaussian"))
 
 
 def _pointed(orientation: dict) -> dict:
