@@ -7,10 +7,11 @@ seed must give the same way each time it is asked, while OMPL's random numbers a
 
 import numpy as np
 
-from robot.inverse import NoSolution
+from robot.inverse import NoSolution, branches, path_poses
 
 EDGE, DENSE = 0.4, 0.05  # rad: length of an edge, and between the postures that are returned
 EDGES, CUTS = 1500, 60  # tried at most
+BESIDE = 5e-3  # m, beyond the margin, for corners that are rounded
 
 
 class _Tree:
@@ -32,6 +33,16 @@ class _Tree:
             found.append(self.nodes[node])
             node = self.parents[node]
         return found[::-1]
+
+
+def beginnings(model, start, point, margin: float, seed: int) -> list[np.ndarray]:
+    """Postures (J,) whose hand is at the point (3,) and that keep ``margin`` [m], those nearest to ``start`` (J,) first; a robot
+    with legs may stay where it stands. model: CollisionModel."""
+    poses, rows = path_poses(np.reshape(point, (1, 3)))
+    arms = [model.arm] if model.arm.legs is None else [model.arm.still(start), model.arm]
+    found = [q for arm in arms for q in branches(arm, poses[0], rows, 0.0, seed)]
+    clear = [q for q in found if model.clearance(q) >= margin]
+    return sorted(clear, key=lambda q: np.abs(q - start).max())
 
 
 def approach(model, start, end, margin: float, seed: int) -> np.ndarray:

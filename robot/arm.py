@@ -10,7 +10,7 @@ The tree is read from the URDF once and evaluated by compiled functions (kinemat
 
 import importlib.resources
 import inspect
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -303,6 +303,11 @@ class Arm:
         """
         start = None if start is None else self._joints(start)
         return inverse.choose(self, *tool.poses(points), start, tool.tolerance, seed)
+
+    def still(self, q) -> "Arm":
+        """A robot with legs whose base stays where q (J,) has it; an arm as it is."""
+        fixed = lambda limits: np.append(q[:3], limits[3:])
+        return self if self.legs is None else replace(self, lower=fixed(self.lower), upper=fixed(self.upper))
 
     def random(self, count, seed) -> np.ndarray:
         """(count, J) postures, uniform within the limits (within a turn where there are none)."""

@@ -19,6 +19,7 @@ from the straight line between its two places, which are at most ``motion`` apar
 and segments are halved until this bound suffices or is sharper than the resolution. Nothing can be skipped.
 """
 
+from copy import copy
 from dataclasses import dataclass, replace
 
 import fcl
@@ -104,6 +105,28 @@ class CollisionModel:
 
     def pair_names(self, pair) -> tuple[str, str]:
         return tuple(self.names[i] for i in self._pairs[pair]) if pair >= 0 else ("nothing", "nothing")
+
+    def standing(self, world_from_moved, along=None) -> "CollisionModel":
+        """The same arm, moved over the floor by world_from_moved (4, 4) with the body ``along``; its frames stay the arm's own, so
+        that all else is moved the other way."""
+        moved_from_world = np.linalg.inv(world_from_moved)
+        there = lambda piece: piece if piece.name == along else replace(piece, frame_from_piece=moved_from_world @ piece.frame_from_piece)
+        moved = copy(self)
+        moved.surroundings = tuple(map(there, self.surroundings))
+        moved._objects = self._objects[: len(self.pieces)]
+        moved._objects += [fcl.CollisionObject(p.geometry, _fcl_pose(p.frame_from_piece)) for p in moved.surroundings]
+        places = np.array([np.linalg.inv(p.frame_from_piece) for p in moved.surroundings]).reshape(-1, 4, 4)
+        moved._bounds, moved._measured = (*self._bounds[:2], places), (None, None)
+        return moved
+
+    def gaps(self, body) -> dict[str, float]:
+        """{other body: how far it is from ``body`` [m], 0 or less where they meet} of what stands around the arm."""
+        numbered = list(enumerate(self.surroundings, start=len(self.pieces)))
+        ours, placed, gaps = [k for k, piece in numbered if piece.name == body], {}, {}
+        for k, piece in numbered:
+            if piece.name != body:
+                gaps[piece.name] = min([self._distance(a, k, None, placed) for a in ours] + [gaps.get(piece.name, np.inf)])
+        return gaps
 
     def measure(self, q, cap=None) -> tuple[np.ndarray, np.ndarray]:
         """q (N, J) -> clearance (N, 2) [m] to the world and to itself; nearest pairs (N, 2), -1 where beyond cap."""

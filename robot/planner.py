@@ -10,6 +10,7 @@
     3. Of the feasible candidates take the most likely that is ``comfortable`` clear; if none is, the one with most
        clearance.
     4. Time it (timing.py) and check the timed motion once more, as it will be performed.
+    5. If none is feasible from where a robot with legs stands, it walks to where one is (base.py), and plans there anew.
 
 Likelihood is compared by the squared Mahalanobis distance to the conditioned mean, averaged over the path.
 """
@@ -19,17 +20,21 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from robot import base
+from robot.approach import BESIDE, beginnings
 from robot.approach import approach as approach_path
 from robot.attempt import RESOLUTION, Attempt, Search, swept_refusal, title
 from robot.collision import ITSELF, WORLD, CollisionModel
 from robot.deform import Moved, moved_mean
-from robot.inverse import NoSolution, branches, path_poses, tool_of
+from robot.inverse import NoSolution, tool_of
 from robot.keepout import regions_of
 from robot.motion import Plan
 from robot.timing import time_path
 
 MOVED = -1  # the index of the first way's moved mean; that of the second is one below
-BESIDE = 5e-3  # m, beyond the margin, for corners of the approach that are rounded
+BEGINNINGS = 4  # postures where the motion begins that are tried to get to
+ADVICE = "robot.planner.approach=null bends the motion to begin where the hand is"
+STANDS = ("here", "walk", "say")
 POSITION_TOLERANCE = 2e-3  # m, of the timed motion against the candidate
 
 
@@ -54,6 +59,7 @@ def plan(
     orientation=None,
     orientation_tolerance=0.0,
     starts_within=0.0,
+    stand="walk",
 ) -> Plan:
     """Choose, check and time a motion of the arm among the bodies of the world.
 
@@ -68,13 +74,17 @@ def plan(
     goes there first; nearer, or where this is None, the motion is conditioned to begin at the hand. orientation: of the
     hand, where the skill says none: None or "free", "keep", "down", "tangent", or an axis [x, y, z] that it points along;
     kept within orientation_tolerance [rad] once the hand has turned there. starts_within [m]: the hand does not begin where
-    ``start`` has it but at random this near to there, to see what becomes of a motion from elsewhere.
+    ``start`` has it but at random this near to there, to see what becomes of a motion from elsewhere. stand: what becomes of a
+    motion that is feasible from nowhere near: "here", it is refused; "walk", a robot with legs goes to stand where it is
+    feasible; "say", it is said of an arm too where its base would have to stand.
     Regions are kept clear of as if they were bodies. The motion takes at least ``skill.duration``. Raises ValueError where
     the start itself is out of limits or too close to something, NoSolution where the beginning cannot be reached,
     SketchError where outlines bound no region.
     """
     if samples < 1 or waypoints < 2:
         raise ValueError(f"a plan needs at least 1 sample and 2 waypoints, not {samples} and {waypoints}")
+    if stand not in STANDS:
+        raise ValueError(f"stand is one of {', '.join(STANDS)}, not {stand!r}")
     start = np.array(arm.home if start is None else start, dtype=float)
     held = [*held, *getattr(world, "held", ())]
     if starts_within > 0:
@@ -85,11 +95,54 @@ def plan(
     model = CollisionModel(arm, world, regions, only=only, held=held, margin=margin)
     _check_start(arm, model, start, margin)
     tool = tool_of(skill.hand or orientation, orientation_tolerance, arm.fk(start)[:3, :3])
-    lead = None if approach is None else _lead(skill, arm, model, start, approach, margin, rate, seed)
-    begin = start if lead is None else lead.joints[-1]
-    search = Search(arm, model, begin, margin, comfortable, postures, tool)
-    motion = _motion(skill, search, samples, waypoints, seed, rate, moved)
-    return motion if lead is None else motion.after(lead, arm.velocity, arm.acceleration)
+    here = Search(arm, model, start, margin, comfortable, postures, tool)
+    from_there = lambda begin: _performed(skill, replace(here, start=begin), approach, seed, samples, waypoints, rate, moved)
+    try:
+        motion, wrong = from_there(start), None
+    except NoSolution as error:
+        motion, wrong = None, error
+    if motion is not None and motion.feasible or stand == "here" or (arm.legs is None and stand != "say"):
+        if wrong is not None:
+            raise wrong
+        return motion
+    place = base.search(here, skill, approach, _mount(arm, world))
+    if place is None or arm.legs is None:
+        return _standing_here(motion, wrong, place)
+    why = str(wrong or motion.sentence).partition(f"; {ADVICE}")[0]
+    said = f"it goes to stand {place} first, since from where it stands {why}"
+    walked = _way(model, start, place.start, margin, rate, seed, "where it is to stand")
+    return replace(_joined(arm, walked, from_there(place.start)), stands=said)
+
+
+def _performed(skill, search, approach, seed, samples, waypoints, rate, moved) -> Plan:
+    """The motion from the search's start: to where the taught one begins, if that is far, and along it."""
+    arm = search.arm
+    lead = None if approach is None else _lead(skill, search, approach, rate, seed)
+    begin = search.start if lead is None else lead.joints[-1]
+    motion = _motion(skill, replace(search, start=begin), samples, waypoints, seed, rate, moved)
+    return motion if lead is None else _joined(arm, lead, motion)
+
+
+def _joined(arm, lead, motion) -> Plan:
+    """A motion after the way to its beginning; the legs' steps depend on both."""
+    both = motion.after(lead, arm.velocity, arm.acceleration)
+    if arm.legs and both.feasible:
+        arm.walk(both.times, both.joints)
+    return both
+
+
+def _mount(arm, world) -> str | None:
+    """The body that an arm stands on, if the world has one."""
+    name = getattr(world, "spec", {}).get("mount", "pedestal")
+    return name if arm.legs is None and world is not None and name in world.bodies else None
+
+
+def _standing_here(motion, wrong, place) -> Plan:
+    """What was refused, with where the base would have to stand."""
+    said = f"it would be feasible if the base stood {place}" if place else "the base could stand nowhere near where it would be feasible"
+    if wrong is not None:
+        raise NoSolution(f"{wrong}; {said}")
+    return replace(motion, stands=said)
 
 
 def _elsewhere(arm, start, within, seed, held) -> np.ndarray:
@@ -102,28 +155,38 @@ def _elsewhere(arm, start, within, seed, held) -> np.ndarray:
     return arm.ik(pose, start=start, position_only=True)
 
 
-def _lead(skill, arm, model, start, approach, margin, rate, seed) -> Plan | None:
+def _lead(skill, search, approach, rate, seed) -> Plan | None:
     """The motion to where the taught one begins, None where the hand is nearer to that than ``approach`` [m]."""
+    arm, model, start, margin = search.arm, search.model, search.start, search.margin
     tip, begin = arm.fk(start), skill.distribution.mean_at([0.0])[0]
     if np.linalg.norm(tip[:3, 3] - begin) <= approach:
         return None
-    pose, rows = path_poses(begin[None])
-    postures = sorted(branches(arm, pose[0], rows, 0.0, seed), key=lambda q: np.abs(q - start).max())
-    clear = [q for q in postures if model.clearance(q) >= margin + BESIDE]
-    where = ", ".join(f"{x:.3f}" for x in begin)
-    advice = "robot.planner.approach=null bends the motion to begin where the hand is"
+    clear = beginnings(model, start, begin, margin + BESIDE, seed)
+    where = f"where the motion begins ({', '.join(f'{x:.3f}' for x in begin)}) m"
     if not clear:
-        raise NoSolution(f"no posture of {arm.name} has the hand where the motion begins ({where}) m and is clear; {advice}")
+        raise NoSolution(f"no posture of {arm.name} has the hand {where} and is clear; {ADVICE}")
+    refused = []
+    for posture in clear[:BEGINNINGS]:
+        try:
+            return _way(model, start, posture, margin, rate, seed, where)
+        except NoSolution as error:
+            refused.append(error)
+    raise NoSolution(f"{refused[0]}; {ADVICE}")
+
+
+def _way(model, start, end, margin, rate, seed, where) -> Plan:
+    """The timed motion from one posture to another among what stands around. Raises NoSolution."""
+    arm = model.arm
     try:
-        path = approach_path(model, start, clear[0], min(margin + BESIDE, model.clearance(start)), seed)
+        path = approach_path(model, start, end, min(margin + BESIDE, *model.clearance(np.stack([start, end]))), seed)
         times, joints, index = time_path(path, arm.velocity, arm.acceleration, 0.0, rate)
     except ValueError as error:
-        raise NoSolution(f"the motion begins at ({where}) m: {error}; {advice}") from None
+        raise NoSolution(f"on the way to {where}: {error}") from None
     distance, _ = model.measure(joints)
     timed = _Timed(times, joints, index / (len(path) - 1), np.zeros(len(times)), distance, arm.fk(joints)[:, :3, 3])
-    refusal = swept_refusal(model, joints, timed.waypoint, 0, margin - RESOLUTION)
+    refusal = _timed_refusal(model, timed, 0, margin)
     if refusal:
-        raise NoSolution(f"on the way to where the motion begins: {refusal.partition(': ')[2]}; {advice}")
+        raise NoSolution(f"on the way to {where}: {refusal.partition(': ')[2]}")
     return _plan(arm, timed, {}, 0, 0, 0, "", True)
 
 
