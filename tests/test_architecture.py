@@ -1,6 +1,7 @@
 """The house: scene <- teach <- robot, conf ties them together; each heavy library has one room."""
 
 import ast
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -58,6 +59,18 @@ def test_each_heavy_library_has_one_room(path):
     relative = path.relative_to(ROOT).as_posix()
     for name in {name.split(".")[0] for name in imports(path)} & set(ONLY_IN):
         assert relative.startswith(ONLY_IN[name]), f"{relative} imports {name}"
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "tests" / "benchmarks").glob("*.py")), ids=module)
+def test_benchmarks_import_what_there_is(path):
+    """They are run seldom; a name that moved would be found out late."""
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.ImportFrom) and node.module.split(".")[0] in ROOMS:
+            file = ROOT / node.module.replace(".", "/")
+            source = file.with_suffix(".py") if file.with_suffix(".py").is_file() else file / "__init__.py"
+            for name in (alias.name for alias in node.names):
+                there = re.search(rf"(?m)^\S.*\b{name}\b|^ *import {name}\b", source.read_text())
+                assert there or (file / f"{name}.py").is_file() or (file / name).is_dir(), f"{path.name} imports {node.module}.{name}"
 
 
 def test_the_only_packages_are_the_four_rooms():
