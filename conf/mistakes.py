@@ -18,7 +18,7 @@ UNKNOWN_KEY = re.compile(r"Could not override '([^']+)'")
 
 def explained(error: Exception) -> str:
     """The error's own words on one line; of a name that does not exist, the nearest ones."""
-    if isinstance(error, InstantiationException) and isinstance(error.__cause__, ValueError):
+    if isinstance(error, InstantiationException) and isinstance(error.__cause__, ValueError | OSError):
         return explained(error.__cause__)
     plugin = next((extra for name, extra in PLUGINS.items() if f"hydra_plugins.hydra_{name}" in str(error)), None)
     if isinstance(error, InstantiationException) and plugin:

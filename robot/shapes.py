@@ -145,9 +145,12 @@ def mesh_points(path) -> np.ndarray:
     if not Path(path).is_file():
         raise FileNotFoundError(f"no mesh at {path}")
     try:
-        return np.asarray(trimesh.load(path, force="mesh", process=False).vertices)
+        points = np.asarray(trimesh.load(path, force="mesh", process=False).vertices)
     except Exception as error:  # trimesh raises whatever its reader of that format raises
         raise ValueError(f"the mesh {Path(path).name} cannot be read: {error}") from error
+    if not len(points):
+        raise ValueError(f"the mesh {Path(path).name} cannot be read: there is no triangle in it")
+    return points
 
 
 def body_pieces(client, bodies) -> list[Piece]:

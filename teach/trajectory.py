@@ -253,6 +253,9 @@ class Skill:
             raise ValueError(f"version {text['version']!r} of {text['kind']!r}, expected 1 or 2 of 'scene2skill.skill'")
         basis = _basis(**text["basis"])
         distribution = TrajectoryDistribution(basis, arrays["mean"], arrays["covariance"])
+        variances = np.linalg.eigvalsh(distribution.covariance)
+        if variances[0] < -1e-6 * max(variances[-1], 1e-12):
+            raise ValueError("its covariance is none: it has negative variances")
         parts = [arrays.get(f"route_{name}", ()) for name in ("shares", "means", "covariances")]
         routes = tuple(Route(float(p), TrajectoryDistribution(basis, m, S)) for p, m, S in zip(*parts, strict=True))
         events = tuple(Event(str(name), float(time)) for name, time in text["events"])

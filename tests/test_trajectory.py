@@ -202,6 +202,15 @@ def test_a_skill_of_an_unknown_basis_or_version_is_refused_in_a_line(tmp_path, v
     assert "\n" not in str(error.value)
 
 
+def test_a_covariance_with_negative_variances_is_refused(tmp_path):
+    Skill(distribution(), 2.5).save(tmp_path / "skill.npz")
+    with np.load(tmp_path / "skill.npz") as file:
+        arrays = dict(file)
+    np.savez(tmp_path / "skill.npz", **arrays | {"covariance": -arrays["covariance"]})
+    with pytest.raises(ValueError, match="not a skill file .*negative variances"):
+        Skill.load(tmp_path / "skill.npz")
+
+
 def test_the_ways_of_a_skill_are_kept_and_all_start_where_they_are_told(tmp_path):
     d = distribution()
     other = d.condition(0.5, [0.1, 0.2, 0.3])
