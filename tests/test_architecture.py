@@ -69,7 +69,7 @@ def test_benchmarks_import_what_there_is(path):
             file = ROOT / node.module.replace(".", "/")
             source = file.with_suffix(".py") if file.with_suffix(".py").is_file() else file / "__init__.py"
             for name in (alias.name for alias in node.names):
-                there = re.search(rf"(?m)^\S.*\b{name}\b|^ *import {name}\b", source.read_text())
+                there = re.search(rf"(?m)^(?=\S).*\b{name}\b|^ *import {name}\b", source.read_text())
                 assert there or (file / f"{name}.py").is_file() or (file / name).is_dir(), f"{path.name} imports {node.module}.{name}"
 
 
