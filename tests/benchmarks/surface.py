@@ -21,7 +21,7 @@ from robot.arm import Arm, NoSolution
 from robot.collision import WORLD, CollisionModel
 from robot.obstacles import on_the_arm, reconstructed
 from robot.world import World
-from robot.worldfile import varied
+from robot.variation import varied
 from scene.dataset import load_views
 from scene.field import Field
 from scene.surface import Mesh
