@@ -11,6 +11,7 @@ from robot.inverse import Tool
 from robot.postures import Profile, end_profiles, path_to, taught_profile, tool_profiles
 
 RESOLUTION = 1e-3  # m, to which clearances between waypoints are known
+LANDING, HALVINGS = 0.04, 8  # m: the last of the way, which may be left out; of a step, to find where the hand touches
 CAP = 0.1  # m: clearances beyond this are not told apart here
 SHARED_PROFILES, OWN_POSTURES, SCREENING_STRIDE = 4, 4, 3
 OWN_TRIES = 8  # so many samples in a row are tried with profiles of their own in vain, then no more
@@ -21,7 +22,8 @@ class Attempt:
     """A candidate with a profile. index: 0 is the mean, negative a mean moved away from obstacles. points (N, 3) [m]. path (N, J), shorter where the arm could not
     follow.
 
-    clearance: to the world [m]. refusal: why it is not feasible, empty where it is.
+    clearance: to the world [m]. refusal: why it is not feasible, empty where it is. short [m]: of the taught end, where the hand
+    touches before.
     """
 
     index: int
@@ -30,18 +32,21 @@ class Attempt:
     profile: Profile | None
     clearance: float
     refusal: str = ""
+    short: float = 0.0
 
     @property
     def rank(self) -> tuple:
-        """Better is larger: feasible, then with the hand turned early, how much of the path could be followed, clearance."""
+        """Better is larger: feasible, then with the hand turned early, how near to the end it lands, how much of the path could
+        be followed, clearance."""
         turning = self.profile.turning if self.profile and not self.refusal else 0.0
-        return not self.refusal, -turning, len(self.path), self.clearance
+        return not self.refusal, -turning, -round(self.short, 3), len(self.path), self.clearance
 
 
 @dataclass(frozen=True, eq=False)
 class Search:
     """For each candidate the best attempt. start (J,). margin: least clearance [m]. comfortable: a larger one is not
-    looked for [m]. postures: end postures tried on the mean. tool: how the hand is to be turned."""
+    looked for [m]. postures: end postures tried on the mean. tool: how the hand is to be turned. lands: the motion ends where the
+    hand touches what the model lets it land on."""
 
     arm: Arm
     model: CollisionModel
@@ -50,6 +55,7 @@ class Search:
     comfortable: float
     postures: int
     tool: Tool = Tool()
+    lands: bool = False
 
     def all(self, candidates, orientation=None) -> list[Attempt]:
         """Candidates (S, N, 3), the mean first; orientation: None or rows (t, quat_xyzw) that were taught.
@@ -74,7 +80,8 @@ class Search:
     def _profiles(self, points, count):
         if self.tool.kind != "free":
             return tool_profiles(self.arm, self.tool, points, self.start)
-        return end_profiles(self.arm, self.model, points, self.start, count, self.margin)
+        margin = self.margin - LANDING * self.lands  # the end itself lies in what the hand lands on
+        return end_profiles(self.arm, self.model, points, self.start, count, margin)
 
     def best(self, index, points, profiles, enough) -> tuple[Attempt, list[Profile]]:
         """The best attempt at a path, and the profiles, best first. All are screened at some waypoints, until one has a
@@ -108,7 +115,25 @@ class Search:
             t = error.waypoint / (len(points) - 1)
             reached = np.vstack([self.start, error.path])[: max(error.waypoint, 1)]
             return Attempt(index, points, reached, profile, -np.inf, f"{title(index)}: at t = {t:.2f} {error}")
-        return self._measured(Attempt(index, points, path, profile, -np.inf), SCREENING_STRIDE)
+        attempt = Attempt(index, points, path, profile, -np.inf)
+        return self._measured(self._landed(attempt) if self.lands else attempt, SCREENING_STRIDE)
+
+    def _landed(self, attempt) -> Attempt:
+        """The attempt as far as the hand may go before it touches what it lands on: the tip's frame may lie in from its
+        fingers' ends. Only the last of the way is left out."""
+        points, path = attempt.points, attempt.path
+        last = np.flatnonzero(np.linalg.norm(points - points[-1], axis=1) > LANDING).max(initial=-1) + 1
+        bad = np.flatnonzero(self.model.clearance(path[last:]) < self.margin)
+        if not len(bad) or last + bad[0] == 0:
+            return attempt
+        k = last + bad[0]
+        clear, near = path[k - 1], path[k]
+        for _ in range(HALVINGS):
+            middle = (clear + near) / 2
+            clear, near = (middle, near) if self.model.clearance(middle) >= self.margin else (clear, middle)
+        arrived = self.arm.fk(clear)[:3, 3]
+        short = float(np.linalg.norm(points[-1] - arrived))
+        return replace(attempt, points=np.vstack([points[:k], arrived]), path=np.vstack([path[:k], clear]), short=short)
 
     def _measured(self, attempt, stride) -> Attempt:
         last = len(attempt.path) - 1

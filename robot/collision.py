@@ -29,10 +29,11 @@ from robot import separation
 from robot.bounds import lower_bounds
 from robot.kinematics import PRISMATIC
 from robot.separation import TRUSTED, Solid, gap
-from robot.shapes import body_pieces, box, link_pieces, region_pieces
+from robot.shapes import body_pieces, box, link_pieces, region_pieces, sphere
 
 WORLD, ITSELF = 0, 1
 NEAR_AT_HOME = 0.01  # m: what is nearer in a comfortable posture is a matter of coarse geometry
+LANDED = 1.5e-3  # m before a surface, where a hand that is to touch it stops: it does not press blindly (Bullet takes 1 mm for a touch)
 SLIDING = 1e-3  # m, by which a held thing may come nearer to what it rests on
 ALWAYS_TOUCHING = 0.9  # share of random postures: such a pair is a matter of coarse geometry, not of the posture
 
@@ -52,13 +53,13 @@ class CollisionModel:
     that the arm may not enter (teach.hull.Region); they count as bodies of the world. only: {region or body: names of
     links}, those that bind these links alone. held: {body: posture (J,)} bodies of the world that the tip carries, grasped where
     they stand at that posture; what they rest on there (nearer than ``margin`` [m]) they may stay as near to, not nearer.
-    ignored: further pairs of names that may touch. cap: larger clearances are not told apart [m].
+    landing: {body: names of links} that may come within LANDED of it, as if that were the margin. ignored: further pairs of names that may touch. cap: larger clearances are not told apart [m].
 
     Links that cannot move are not compared with the world (the base may stand on a table or in it). Of the arm's own
     pairs those are left out that are neighbours, (nearly) touch at home, or touch in nearly all random postures.
     """
 
-    def __init__(self, arm, world=None, regions=(), ignored=(), cap=0.3, *, only=None, held=None, margin=0.01):
+    def __init__(self, arm, world=None, regions=(), ignored=(), cap=0.3, *, only=None, held=None, landing=None, margin=0.01):
         self.arm, self.cap = arm, float(cap)
         bodies = body_pieces(world.client, world.bodies) if world is not None else []
         self._only, self._held = _checked(only or {}, held or {}, arm, bodies, regions)
@@ -79,7 +80,7 @@ class CollisionModel:
         self._own = 0
         self._measured = None, None  # the last question and its answer: paths are measured, then swept
         self._choose_own_pairs()
-        self._allowed = self._resting(margin)  # (pairs,) [m], what is added to a pair's distance
+        self._allowed = self._resting(margin) + self._landing(landing or {}, margin)  # (pairs,) [m], what is added to a pair's distance
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -118,6 +119,14 @@ class CollisionModel:
         places = np.array([np.linalg.inv(p.frame_from_piece) for p in moved.surroundings]).reshape(-1, 4, 4)
         moved._bounds, moved._measured = (*self._bounds[:2], places), (None, None)
         return moved
+
+    def beside(self, point, within) -> list[str]:
+        """What stands around the arm within that distance [m] of a point (3,)."""
+        pose = np.eye(4)
+        pose[:3, 3] = point
+        ball = Solid(sphere("", TRUSTED, pose)).arrays(pose)
+        near = lambda k: separation.distance(ball, self._place(k + len(self.pieces), None)) <= within
+        return sorted({piece.name for k, piece in enumerate(self.surroundings) if near(k)})
 
     def gaps(self, body) -> dict[str, float]:
         """{other body: how far it is from ``body`` [m], 0 or less where they meet} of what stands around the arm."""
@@ -288,6 +297,11 @@ class CollisionModel:
             for k in np.flatnonzero([self.names[a] == name for a, _ in self._pairs[: len(self._pairs) - self._own]]):
                 allowed[k] = max(0.0, margin + SLIDING - self._distance(*self._pairs[k], poses, placed))
         return np.where(allowed > SLIDING, allowed, 0.0)
+
+    def _landing(self, landing, margin) -> np.ndarray:
+        """How much nearer than ``margin`` links may come to what they land on."""
+        names = self.names
+        return np.array([max(margin - LANDED, 0.0) if names[a] in landing.get(names[b], ()) else 0.0 for a, b in self._pairs])
 
     def _choose_own_pairs(self):
         """Start from every pair of links that are not neighbours; drop those that (nearly) touch at home, or nearly always."""

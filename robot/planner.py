@@ -34,6 +34,7 @@ from robot.timing import time_path
 MOVED = -1  # the index of the first way's moved mean; that of the second is one below
 BEGINNINGS = 4  # postures where the motion begins that are tried to get to
 ADVICE = "robot.planner.approach=null bends the motion to begin where the hand is"
+AT_THE_END, SNAPPED = 0.97, 0.015  # share of a motion's time; m, of its end from what it is to touch there
 STANDS = ("here", "walk", "say")
 POSITION_TOLERANCE = 2e-3  # m, of the timed motion against the candidate
 
@@ -77,7 +78,8 @@ def plan(
     ``start`` has it but at random this near to there, to see what becomes of a motion from elsewhere. stand: what becomes of a
     motion that is feasible from nowhere near: "here", it is refused; "walk", a robot with legs goes to stand where it is
     feasible; "say", it is said of an arm too where its base would have to stand.
-    Regions are kept clear of as if they were bodies. The motion takes at least ``skill.duration``. Raises ValueError where
+    Regions are kept clear of as if they were bodies. A skill with a "contact" at its end ends where the hand touches what is
+    there. The motion takes at least ``skill.duration``. Raises ValueError where
     the start itself is out of limits or too close to something, NoSolution where the beginning cannot be reached,
     SketchError where outlines bound no region.
     """
@@ -92,10 +94,12 @@ def plan(
     regions, only = regions_of(skill.keep_out, outlined_for, keep_out)
     held = dict.fromkeys(held, start)
     only |= dict.fromkeys(getattr(world, "touch", ()), arm.beside_hand)
-    model = CollisionModel(arm, world, regions, only=only, held=held, margin=margin)
+    landing = _landing(skill, arm, world)
+    only = {name: links for name, links in only.items() if name not in landing}
+    model = CollisionModel(arm, world, regions, only=only, held=held, landing=landing, margin=margin)
     _check_start(arm, model, start, margin)
     tool = tool_of(skill.hand or orientation, orientation_tolerance, arm.fk(start)[:3, :3])
-    here = Search(arm, model, start, margin, comfortable, postures, tool)
+    here = Search(arm, model, start, margin, comfortable, postures, tool, bool(landing))
     from_there = lambda begin: _performed(skill, replace(here, start=begin), approach, seed, samples, waypoints, rate, moved)
     try:
         motion, wrong = from_there(start), None
@@ -129,6 +133,15 @@ def _joined(arm, lead, motion) -> Plan:
     if arm.legs and both.feasible:
         arm.walk(both.times, both.joints)
     return both
+
+
+def _landing(skill, arm, world) -> dict[str, list[str]]:
+    """{body: the hand's links} of what a motion that ends with a contact ends on."""
+    if world is None or not any(event.name == "contact" and event.time > AT_THE_END * skill.duration for event in skill.events):
+        return {}
+    hand = [link for link in arm.link_names if link not in arm.beside_hand]
+    there = CollisionModel(arm, world).beside(skill.distribution.mean_at([1.0])[0], SNAPPED)
+    return dict.fromkeys(there, hand)
 
 
 def _mount(arm, world) -> str | None:
@@ -192,7 +205,8 @@ def _way(model, start, end, margin, rate, seed, where) -> Plan:
 
 def _motion(skill, search, samples, waypoints, seed, rate, moved) -> Plan:
     """The taught motion from the search's start on."""
-    arm, model, comfortable = search.arm, search.model, search.comfortable
+    arm, model = search.arm, search.model
+    comfortable = -np.inf if search.lands else search.comfortable  # all that land come near to something
     ways = skill.starting_at(arm.fk(search.start)[:3, 3])[:samples]
     candidates, way = _candidates(ways, samples, waypoints, seed)
     attempts = search.all(candidates, None if skill.hand else skill.orientation)

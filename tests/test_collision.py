@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from robot import shapes
 from robot.arm import Arm
 from robot.collision import CollisionModel
+from robot.world import World
 from teach.hull import Region
 
 CAP = 0.3
@@ -295,3 +296,10 @@ def test_all_near_pairs_are_given_with_their_clearance(world):
         smallest = clearance[rows == n].min(initial=0.2)
         assert smallest == pytest.approx(min(model.clearance(q[n]), 0.2), abs=1e-9)
     assert (clearance < 0.2).all() and model.of_world(pairs).any()
+
+
+def test_what_stands_beside_a_point_is_told_by_its_distance():
+    box = lambda name, x: {"name": name, "shape": "box", "size": [0.2, 0.2, 0.2], "position": [x, 0, 0]}
+    with World.from_spec({"name": "w", "objects": [box("a", 0.5), box("b", 0.8)]}, textured=False) as world:
+        model = CollisionModel(Arm.load("z1"), world)
+    assert model.beside([0.62, 0, 0], 0.03) == ["a"] and model.beside([0.65, 0, 0], 0.06) == ["a", "b"] and model.beside([0.65, 0, 0], 0.04) == []

@@ -18,7 +18,7 @@ from robot.timing import motion_spline, time_path
 from scene.camera import Camera, look_at
 from teach.basis import SquaredExponential
 from teach.hull import visual_hull
-from teach.sketch import Sketch, SketchError, Stroke
+from teach.sketch import Event, Sketch, SketchError, Stroke
 from teach.trajectory import Route, Skill, TrajectoryDistribution
 
 GOAL = np.array([0.83, 0.10, 0.30])
@@ -331,3 +331,22 @@ def test_a_distribution_that_never_varies_is_planned_as_its_mean(arm):
     taught = skill_to(arm, np.array([0.5, 0.2, 0.4]))
     still = TrajectoryDistribution(taught.distribution.basis, taught.distribution.mean, np.zeros((30, 30)))
     assert plan(Skill(still, 4.0), arm, None, samples=2).feasible
+
+
+def test_a_motion_that_ends_with_a_contact_ends_where_the_hand_touches(arm, table):
+    """The table's top, away from what stands on it: without the contact its surface is an obstacle like any other."""
+    at = np.array([0.62, -0.45, 0.22])
+    taught = skill_to(arm, at, spread=0.005)
+    assert not plan(taught, arm, table, samples=2, moved=0).feasible
+    landed = plan(replace(taught, events=(Event("contact", 4.0),)), arm, table, samples=2, moved=0)
+    assert landed.feasible and np.linalg.norm(landed.tip[-1] - at) < 0.015
+    hand = [link for link in arm.link_names if link not in arm.beside_hand]
+    distance = CollisionModel(arm, table, only={"top": hand}).measure(landed.joints)[0][:, 0]
+    assert 0.0005 < distance[-1] < 0.005 and distance.min() > 0
+    others = CollisionModel(arm, table, only={"top": arm.beside_hand}).measure(landed.joints)[0][:, 0]
+    assert others.min() >= 0.008
+
+
+def test_a_contact_on_the_way_lets_nothing_come_near(arm, table):
+    taught = skill_to(arm, np.array([0.62, -0.45, 0.22]), spread=0.005, events=(Event("contact", 2.0),))
+    assert not plan(taught, arm, table, samples=2, moved=0).feasible
