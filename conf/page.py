@@ -68,18 +68,44 @@ def _shown(host: str) -> str:
 
 
 def scene_of(job: Job):
-    """The views of a capture folder: those rendered to sketch on first, then the photographs."""
+    """The views of a capture folder: those rendered to sketch on first, then the photographs. A scene that is known from truth has
+    none of these, and no reconstruction: its surface is what the views' depth pictures show."""
     from scene.views import load_depths
     from teach.page.scene import Picture, Scene
 
-    rendered, photographs = load_cameras(job.capture / "views"), load_cameras(job.capture)
+    known = (job.capture / "transforms.json").exists()
+    rendered, photographs = load_cameras(job.capture / "views"), load_cameras(job.capture) if known else {}
     views = {path.stem: Picture(path, camera, "rendered") for path, camera in rendered.items()}
     views |= {p.stem: Picture(p, camera, "photograph") for p, camera in photographs.items() if p.stem not in views}
-    points, colours = load_points(job.capture)
+    points, colours = load_points(job.capture) if known else (np.zeros((0, 3)), np.zeros((0, 3), np.uint8))
     surfaces = load_depths(job.capture / "views", {name: view.camera for name, view in views.items()})
-    target = np.median(points, axis=0) if len(points) else np.zeros(3)
-    mesh = cache(partial(surface_of, job.capture / "mesh.ply")) if (job.capture / "mesh.ply").exists() else None
-    return Scene(job.capture.name, views, points, colours, load_frame(job.capture)["unit"], tuple(surfaces), tuple(target.tolist()), mesh)
+    target = np.median(points, axis=0) if len(points) else _looked_at(list(rendered.values()))
+    unit = load_frame(job.capture if known else job.capture / "views")["unit"]
+    return Scene(job.capture.name, views, points, colours, unit, tuple(surfaces), tuple(target.tolist()), _surface(job, known))
+
+
+def _looked_at(cameras) -> np.ndarray:
+    """(3,) [m]: the point nearest to the axes of all cameras."""
+    across = [np.eye(3) - np.outer(camera.forward, camera.forward) for camera in cameras]
+    return np.linalg.lstsq(sum(across), sum(A @ camera.centre for A, camera in zip(across, cameras)), rcond=None)[0]
+
+
+def _surface(job: Job, known: bool):
+    """What makes the scene's surface, when it is first looked at; None where there is none."""
+    if (job.capture / "mesh.ply").exists():
+        return cache(partial(surface_of, job.capture / "mesh.ply"))
+    return None if known else cache(partial(surface_of_views, job.capture / "views"))
+
+
+def surface_of_views(folder: Path):
+    """What the views of a folder see of the scene, by their depth pictures, as the page shows it."""
+    from scene.dataset import load_views
+    from scene.views import load_depths
+    from teach.page.solid import relief
+
+    views = load_views(folder)
+    depths = load_depths(folder, {view.name: view.camera for view in views})
+    return relief([(view.camera, view.image, depths[view.name]) for view in views if view.name in depths])
 
 
 def surface_of(path: Path):
@@ -163,15 +189,19 @@ def performing(settings: dict, spec: dict, seed: int) -> dict:
 
 
 def _plan(planner, arm, spec, seed, progress, skill: Path, keep: Path) -> dict:
+    from robot.events import planned_events
     from robot.world import World
     from teach.trajectory import Skill
 
     progress(0.1, "Looking for a way for the arm")
+    learned = Skill.load(skill)
     with World.from_spec(spec, textured=False) as world:
         world.bring_held(arm, arm.home)
-        chosen = planner(Skill.load(skill), arm, world.obstacles, start=arm.home, seed=seed)
+        chosen = planner(learned, arm, world.obstacles, start=arm.home, seed=seed)
     chosen.save(keep)
-    return planned(chosen) | {"links": link_rows(arm, chosen.joints[_shown_rows(chosen)])}
+    events = planned_events(learned, chosen)
+    links = link_rows(arm, chosen.times, chosen.joints, events, _shown_rows(chosen))
+    return planned(chosen) | {"links": links, "events": [{"name": event.name, "time": event.time} for event in events]}
 
 
 def _shown_rows(plan) -> np.ndarray:

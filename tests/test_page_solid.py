@@ -84,7 +84,7 @@ def depth_of(camera, triangle, u, v) -> float:
 def test_the_arms_links_are_where_its_kinematics_has_them(name):
     arm = Arm.load(name)
     shown, q = body(arm), arm.random(3, seed=0)
-    rows = np.array(link_rows(arm, q))
+    rows = np.array(link_rows(arm, [0.0, 1.0, 2.0], q))
     assert rows.shape == (3, len(shown["links"]), 7) and len(shown["home"]) == len(shown["links"])
     for k, link in enumerate(shown["links"]):
         pose = arm.link_poses(q)[1, arm.link_names.index(link["name"])]

@@ -1,6 +1,7 @@
 """A scene's surface for the 3D view: thinned to what a page can draw without a graphics card, packed to what is quick to send.
 
     solid = thinned(vertices, faces, colours)       # at most ``most`` vertices
+    solid = relief([(camera, image, depth)])        # or what depth pictures show
     packed(solid)                                   # bytes that static/raster.js unpacks
 
 Thinning joins the vertices in each cell of a grid, at their mean place and colour: cells of one size keep the colours of flat
@@ -16,6 +17,8 @@ from jaxtyping import Float, Int, UInt8
 MOST = 16_000
 """Vertices that are drawn in some ten milliseconds."""
 HALVINGS = 16
+STEEP = 0.06
+"""Share of the depth by which neighbours of one surface differ at most."""
 GRID = 65_535
 """Steps of a packed coordinate."""
 
@@ -54,6 +57,31 @@ def _joined(solid: Solid, edge: float) -> Solid:
     corners = corners[(corners != np.roll(corners, 1, axis=1)).all(axis=1)]
     _, first = np.unique(np.sort(corners, axis=1), axis=0, return_index=True)
     return Solid(mean(solid.vertices), corners[np.sort(first)], np.round(mean(solid.colours)).astype(np.uint8))
+
+
+def relief(seen, most: int = MOST) -> Solid:
+    """What pictures see. seen: of each view its Camera, image (h, w, 3) uint8 and depth (h, w) [m], nan where there is nothing.
+    Neighbours are joined where their depths differ by less than a STEEP share; the far side of an edge is open."""
+    stride = max(1, int(np.ceil(np.sqrt(sum(depth.size for _, _, depth in seen) / most))))
+    parts = [_relief(camera, image, depth, stride) for camera, image, depth in seen]
+    begins = np.cumsum([0] + [len(part.vertices) for part in parts])
+    faces = np.concatenate([part.faces + begin for part, begin in zip(parts, begins)])
+    return Solid(np.concatenate([part.vertices for part in parts]), faces, np.concatenate([part.colours for part in parts]))
+
+
+def _relief(camera, image, depth, stride: int) -> Solid:
+    rows, columns = (np.arange(stride // 2, size, stride) for size in depth.shape)
+    u, v = np.meshgrid(columns + 0.5, rows + 0.5)
+    z = depth[np.ix_(rows, columns)]
+    origin, direction = camera.rays(np.stack([u, v], axis=-1).reshape(-1, 2))
+    far = z.reshape(-1, 1) / (direction @ camera.forward)[:, None]
+    corner = np.arange(z.size).reshape(z.shape)
+    a, b, c, d = corner[:-1, :-1], corner[:-1, 1:], corner[1:, :-1], corner[1:, 1:]
+    faces = np.concatenate([np.stack(three, axis=-1).reshape(-1, 3) for three in ((a, c, b), (b, c, d))])
+    near, most = z.ravel()[faces].min(axis=1), z.ravel()[faces].max(axis=1)
+    faces = faces[most < (1 + STEEP) * near]  # nan is never below anything
+    used, faces = np.unique(faces, return_inverse=True)
+    return Solid((origin + far * direction)[used], faces.reshape(-1, 3), image[np.ix_(rows, columns)].reshape(-1, 3)[used])
 
 
 def packed(solid: Solid) -> bytes:
