@@ -151,7 +151,7 @@ def quality(report: dict) -> Figure:
     left.set_ylim(0, None)
     for axis in (left, right):
         axis.set_xlabel("t")
-        if report["weakest"]:
+        if report["weakest"]["clear"]:
             axis.axvspan(report["weakest"]["from"], report["weakest"]["to"], color="#ffebe9")
     return figure
 

@@ -3,6 +3,8 @@
 Notation
     Sigma(t)    covariance [m^2] of the mean trajectory at t, what few strokes and their rays leave open
     J_v         Jacobian [px/m] of view v; a view sees the direction e with |J_v e|
+    o_v(t)      how far [px] the middle of view v's strokes lies beside the motion's picture, across it: along it is a question of time
+    d(t)        doubt [m]: d^2 = largest variance of Sigma + max_v (o_v / largest |J_v e|)^2, what is open and what strokes contradict
 """
 
 from collections.abc import Sequence
@@ -14,7 +16,7 @@ from teach.sketch import Sketch, ray_angle
 
 TIMES = np.linspace(0, 1, 50)
 WEAK, LEAST = 1.6, 0.004
-"""A stretch is weak where the mean is this many times as uncertain as on the median, and by at least this [m]."""
+"""A stretch is clearly the weakest where the doubt is this many times its median, and at least this [m]."""
 STRAYED, STRAYED_PX = 2.0, 0.01
 """The mean strays from a view's strokes if its picture misses their mean by so many times their deviation from it, and by at
 least this share of the picture's width."""
@@ -30,7 +32,8 @@ def quality(drawn: Sequence[Sketch], strokes, distribution, uncertainty) -> dict
     off, axes = np.linalg.eigh(uncertainty)
     doubt, axis = np.sqrt(off[:, -1].clip(0)), axes[..., -1]
     angle = _ray_angles([sketch.camera for sketch in drawn], x)
-    weak = _weak(drawn, x, doubt, axis)
+    beside = np.stack([_beside(sketch.camera, points, distribution) for sketch, points in zip(drawn, strokes, strict=True)])
+    weak = _weakest(drawn, x, doubt, axis, beside)
     report = {
         "deviation_mm": (1000 * deviation).round(3).tolist(),
         "uncertainty_mm": (1000 * doubt).round(3).tolist(),
@@ -40,7 +43,7 @@ def quality(drawn: Sequence[Sketch], strokes, distribution, uncertainty) -> dict
         "stroke_px": {},
         "spread_px": {},
         "weakest": weak,
-        "sentence": _sentence(1000 * doubt, weak),
+        "sentence": _sentence(weak),
     }
     mean = distribution.mean_at(np.linspace(0, 1, strokes[0].shape[1]))
     for sketch, points in zip(drawn, strokes, strict=True):
@@ -58,26 +61,40 @@ def _ray_angles(cameras, x) -> np.ndarray:
     return np.degrees(np.arccos(np.clip(np.min(cosines, axis=0), 0, 1)))
 
 
-def _weak(drawn, x, doubt, axis) -> dict | None:
-    """The most uncertain stretch: its times, its deviation [mm], and the view that sees best what is uncertain there."""
-    bad = (doubt > WEAK * np.median(doubt)) & (doubt > LEAST)
-    if not bad.any():
-        return None
-    first = last = int(np.argmax(np.where(bad, doubt, 0)))
-    while first > 0 and bad[first - 1]:
-        first -= 1
-    while last < len(bad) - 1 and bad[last + 1]:
-        last += 1
-    first, last = max(first - 1, 0), min(last + 1, len(bad) - 1)
+def _beside(camera, strokes, distribution) -> np.ndarray:
+    """(T,) o_v(t) [px] at TIMES. strokes: (S, T, 2) [px] of one view."""
+    times = np.linspace(0, 1, strokes.shape[1])
+    mean = camera.project(distribution.mean_at(times))
+    tangent = np.gradient(mean, axis=0)
+    tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-300)
+    off = strokes.mean(axis=0) - mean
+    return np.interp(TIMES, times, np.abs(off[:, 0] * tangent[:, 1] - off[:, 1] * tangent[:, 0]))
+
+
+def _weakest(drawn, x, doubt, axis, beside) -> dict:
+    """The most doubtful stretch: its times, its doubt and the median one [mm], the view in which the doubt is largest in pixels, and
+    whether it is clearly weaker than the rest. doubt (T,) [m] and its direction axis (T, 3) are Sigma's; beside (V, T) [px]."""
+    jacobians = np.stack([sketch.camera.jacobian(x) for sketch in drawn])  # (V, T, 2, 3)
+    finest = np.linalg.norm(jacobians, axis=(2, 3), ord=2)
+    d = np.hypot(doubt, (beside / finest).max(axis=0))
+    usual, worst = np.median(d), int(np.argmax(d))
+    below = np.flatnonzero(d < (usual + d[worst]) / 2)
+    first, last = max(below[below < worst], default=-1) + 1, min(below[below > worst], default=len(d)) - 1
     here = slice(first, last + 1)
-    seen = [np.linalg.norm(s.camera.jacobian(x[here]) @ axis[here, :, None], axis=1).mean() for s in drawn]
-    best = drawn[int(np.argmax(seen))].view
-    return {"from": float(TIMES[first]), "to": float(TIMES[last]), "uncertainty_mm": float(1000 * doubt[here].max()), "view": best}
+    seen = np.hypot(np.linalg.norm(jacobians @ axis[:, :, None], axis=(2, 3)) * doubt, beside)[:, here].mean(axis=1)
+    return {
+        "from": float(TIMES[first]),
+        "to": float(TIMES[last]),
+        "uncertainty_mm": float(1000 * d[worst]),
+        "usual_mm": float(1000 * usual),
+        "view": drawn[int(np.argmax(seen))].view,
+        "clear": bool(d[worst] > max(WEAK * usual, LEAST)),
+    }
 
 
-def _sentence(doubt, weak) -> str:
-    known = f"The motion is known to about {region_radius(1) * np.median(doubt):.0f} mm"
-    if weak is None:
+def _sentence(weak) -> str:
+    known = f"The motion is known to about {region_radius(1) * weak['usual_mm']:.0f} mm"
+    if not weak["clear"]:
         return known + " all along."
     return (f"{known} on most of its way, but only to {region_radius(1) * weak['uncertainty_mm']:.0f} mm from {weak['from']:.0%} to "
             f"{weak['to']:.0%} of it: draw that part once more on view {weak['view']}, or on a view from another side.")  # fmt: skip

@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from conf.body import body, link_rows
+from conf.body import CLOSING, body, fingers, link_rows
 from robot.arm import Arm
 from scene.camera import Camera, look_at
-from teach.page.solid import packed, thinned
+from teach.page.solid import packed, relief, thinned
+from teach.sketch import Event
 
 ROOT = Path(__file__).parents[1]
 STATIC = ROOT / "teach" / "page" / "static"
@@ -93,3 +94,36 @@ def test_the_arms_links_are_where_its_kinematics_has_them(name):
         np.testing.assert_allclose(placed, vertices @ pose[:3, :3].T + pose[:3, 3], atol=3e-4)
         assert np.max(link["faces"]) < len(vertices)
     assert len(json.dumps(shown)) < 200_000
+
+
+def test_fingers_close_and_open_at_their_events_and_a_walking_robots_feet_stand_on_the_floor():
+    arm, times = Arm.load("aliengo_z1"), np.linspace(0, 2, 101)
+    joints = np.repeat(arm.home[None], len(times), axis=0)
+    joints[:, 0] += 0.15 * times  # the trunk goes ahead
+    events = [Event("gripper_open", 1.5), Event("pause", 0.2), Event("gripper_close", 0.5)]
+    grip = fingers(arm.gripper, times, events)[:, 0]
+    assert (grip[times <= 0.5] == arm.gripper.open).all() and (grip[(times > 0.5 + CLOSING) & (times <= 1.5)] == arm.gripper.closed).all()
+    assert grip[-1] == arm.gripper.open and (np.abs(np.diff(grip)) < 0.1).all()
+    names, rows = [link["name"] for link in body(arm)["links"]], np.array(link_rows(arm, times, joints, events))
+    for foot in arm.legs.feet:
+        height = rows[:, names.index(foot), 2] - arm.legs.radius - arm.legs.ground
+        assert np.abs(height).min() < 1e-3 and -1e-3 < height.min() and height.max() < 0.1
+    moved = Rotation.from_quat(rows[:, names.index("gripperMover"), 3:])
+    assert (moved[0].inv() * moved[45]).magnitude() == pytest.approx(1.0, abs=1e-3)
+    assert len(link_rows(arm, times, joints, events, rows=[0, 50, 100])) == 3
+
+
+def test_what_depth_pictures_show_lies_where_it_was_seen_and_edges_are_left_open():
+    camera = Camera.from_fov(look_at([0, -1, 1], [0, 0, 0]), 64, 48, 60)
+    depth = np.full((48, 64), 2.0)
+    depth[:, 32:] = 1.0
+    depth[:4] = np.nan
+    image = np.zeros((48, 64, 3), np.uint8)
+    image[:, 32:] = 200
+    solid = relief([(camera, image, depth)] * 2, most=1200)
+    assert 500 < len(solid.vertices) <= 1200
+    far = (solid.vertices - camera.centre) @ camera.forward
+    np.testing.assert_allclose(far, np.where(solid.colours[:, 0] > 0, 1.0, 2.0))
+    assert np.ptp(far[solid.faces], axis=1).max() < 1e-9  # no face joins what is near to what is far
+    u, v = camera.project(solid.vertices).T
+    assert ((u > 32) == (far < 1.5)).all() and v.min() > 4
