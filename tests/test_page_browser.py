@@ -266,17 +266,80 @@ def test_where_views_contradict_each_other_is_said_and_help_follows_the_pen(visi
     tab.mouse.up()
     (found,) = tab.evaluate("page.views[1].disagreements().map(d => ({...d.part, other: d.other}))")
     assert found["other"] == "left" and found["most"] > 15 and 0.2 < found["from"] < found["to"] < 0.9
+    assert f"on right: up to {found['most']:.0f} px from where left puts it" in tab.inner_text("#apart")
 
 
-def test_the_least_certain_part_is_offered_to_be_drawn_again_close_up_on_the_view_that_sees_it_best(visit):
+def test_a_part_that_was_drawn_badly_is_offered_and_drawn_anew_in_its_stroke(visit, server):
     tab = visit("again")
-    tab.evaluate("""page.work.changed = () => {}, page.motion = {times: [0, 0.25, 0.5, 0.75, 1], duration: 2, sentence: 's', warnings: [], regions: [],
-        weakest: {from: 0.25, to: 0.5, uncertainty_mm: 30, view: 'above'}, ways: [{share: 1, samples: [], covariance: Array(5).fill(Array(9).fill(0)),
-        mean: [0, 1, 2, 3, 4].map(i => [0, 0.1 * i - 0.2, 0.1])}]}, page.stale = false, page.work.redrawOffered(), page.paint()""")
+    bent = np.array(motion(1))
+    bent[13:20, 1] -= 80 * np.sin(np.linspace(0.4, 2.7, 7))
+    draw(tab, 0, motion(0))
+    draw(tab, 1, bent)
+    weak = until(tab, "!page.stale && page.motion?.weakest")
+    assert weak["clear"] and 0.2 < weak["from"] < weak["to"] < 0.9 and tab.is_visible("#weak")
+    assert "of it: draw that part once more" in tab.inner_text("#sentence")
     tab.click("#redraw button")
     until(tab, "page.focused.zoom.scale > 1.5 * page.focused.least")
-    assert tab.evaluate("page.focused.name") == "above"
-    assert "once more on above" in tab.inner_text("#says")
+    view = tab.evaluate("page.views.indexOf(page.redraw.view)")
+    assert tab.evaluate("page.focused.number") == view and "begin and end on a stroke" in tab.inner_text("#says")
+    drawn, k = server.strokes("again")[view], slice(12, 22)
+    along = np.linalg.norm(drawn.points - motion(view)[12], axis=1).argmin(), np.linalg.norm(drawn.points - motion(view)[21], axis=1).argmin()
+    draw(tab, view, motion(view)[k])
+    assert "drawn anew" in tab.inner_text("#says") and tab.evaluate("page.redraw.view") is None
+    saved(tab)
+    mended = server.strokes("again")[view]
+    assert len(server.strokes("again")) == 2 and (np.diff(mended.times) >= 0).all()
+    assert (mended.points[: along[0] - 1] == drawn.points[: along[0] - 1]).all()  # what was not drawn anew is as it was
+    n = len(drawn.points) - along[1] - 2
+    assert (mended.points[-n:] == drawn.points[-n:]).all()
+    off = np.linalg.norm(motion(view)[k][:, None] - mended.points, axis=2).min(axis=1)
+    assert off.max() < 3
+    tab.keyboard.press("Control+z")
+    saved(tab)
+    assert (server.strokes("again")[view].points == drawn.points).all()
+
+
+def test_a_viewpoint_is_suggested_with_why_and_taken_beside_what_is_drawn(visit, server):
+    tab = visit("suggested")
+    assert "from beginning to end" in tab.inner_text(".frame .hint >> nth=0")
+    assert not tab.is_visible("#suggest")
+    draw(tab, 0, motion(0))
+    saved(tab)
+    tab.click("#suggest button")
+    until(tab, "document.querySelector('#orbit-words').textContent.includes('9 mm instead of 300 mm')")
+    tab.wait_for_selector("#orbit-picture[data-width='640']")
+    tab.click("#orbit-use")
+    until(tab, "page.views[1].name === 'viewpoint 1' && !!page.views[1].image")
+    assert tab.evaluate("page.views[0].name") == "left"
+    assert tab.inner_text(".frame .hint >> nth=1") == "Now the same motion here"
+    camera = tab.evaluate("page.views[1].view.camera")
+    np.testing.assert_allclose(np.array(camera["world_from_camera"])[:3, 3], [-0.9, 0.3, 1.0], atol=1e-6)
+    t = np.linspace(0, 1, 30)[:, None]
+    curve = np.hstack([0.1 * np.sin(3 * t), 0.5 * t - 0.25, 0.05 + 0.3 * t])
+    draw(tab, 1, Camera(camera["K"], camera["world_from_camera"], 640, 480).project(curve))
+    assert tab.inner_text(".frame .hint >> nth=1") == ""
+    tab.wait_for_selector("body[data-motion=shown]", timeout=60000)
+    tab.click("#act >> text=Check")
+    tab.wait_for_selector("#verdict:not([hidden])")
+    tick = tab.locator("#ticks span")  # the gripper closes in the middle of the checked motion
+    assert tick.inner_text() == "C" and "50%" in tick.get_attribute("style")
+
+
+def test_what_a_click_would_do_is_shown_before_it_is_done(visit):
+    tab = visit("hover")
+    draw(tab, 0, motion(0))
+    at = lambda view, k: places(tab, view, [motion(view)[k]])[0]
+    tab.mouse.move(*at(1, 20))  # where the second stroke begins: on the first pixel's epipolar line
+    assert tab.evaluate("page.views[1].pen.over")
+    lit = "(() => { const c = page.views[%d].layers.help; return c.getContext('2d').getImageData(0, 0, c.width, c.height).data.some(x => x) })()"
+    until(tab, lit % 1)
+    tab.keyboard.press("v")
+    tab.mouse.move(*at(0, 12))
+    until(tab, "!!page.views[0].choice.hovered")
+    assert tab.evaluate("getComputedStyle(page.views[0].frame).cursor") == "pointer"
+    tab.mouse.move(*places(tab, 0, [motion(0)[12] + [0, 120]])[0])
+    until(tab, "!page.views[0].choice.hovered")
+    assert tab.evaluate("getComputedStyle(page.views[0].frame).cursor") == "default"
 
 
 def test_another_viewpoint_is_seen_coarsely_then_sharply_and_can_be_drawn_on(visit, server):

@@ -33,11 +33,17 @@ def learning() -> dict:
 
 
 def acting() -> dict:
-    return {"render": render, "plan": plan, "perform": perform, "body": body}
+    return {"render": render, "suggest": suggest, "plan": plan, "perform": perform, "body": body}
 
 
 def render(progress, camera):
     return np.broadcast_to(np.linspace(60, 200, camera.width, dtype=np.uint8)[None, :, None], (camera.height, camera.width, 3)).copy()
+
+
+def suggest(progress, sketches):
+    """From behind what is drawn first."""
+    like = sketches[0].camera
+    return Camera.from_fov(look_at([-0.9, 0.3, 1.0], [0, 0, 0.1]), like.width, like.height, 50), "a view from behind: expected 9 mm instead of 300 mm without it"
 
 
 def body(progress):
@@ -59,7 +65,7 @@ def plan(progress, skill, keep):
     tip = np.linspace([0, -0.2, 0.1], [0, 0.2, 0.1], 30)
     touches = [10 < i < 20 for i in range(30)]
     return {"feasible": False, "sentence": "the mean: finger touches cup at 40 %", "refusals": [], "times": list(np.linspace(0, 3, 30)), "tip": tip.tolist(),
-            "clearance_mm": [20.0] * 30, "touches": touches, "strays": [False] * 30, "least_mm": -3.0, "duration": 3.0,
+            "events": [{"name": "gripper_close", "time": 1.5}], "clearance_mm": [20.0] * 30, "touches": touches, "strays": [False] * 30, "least_mm": -3.0, "duration": 3.0,
             "links": [[[*p, 0, 0, 0, 1]] for p in tip.tolist()]}  # fmt: skip
 
 
@@ -88,7 +94,7 @@ def main(folder: str, port: str, learns: str = "") -> None:
     works = {}
     if learns:
         actor = Worker(acting)
-        works = {"fit": Worker(learning), "render": actor, "plan": actor, "perform": actor, "body": actor}
+        works = {"fit": Worker(learning), "render": actor, "suggest": actor, "plan": actor, "perform": actor, "body": actor}
     page = Page(Store(folder / "sketches"), scene(folder), works, finished=lambda name, sketches: (folder / "done").write_text(name))
     uvicorn.run(create(page), host="127.0.0.1", port=int(port), log_level="warning", loop="asyncio")
 

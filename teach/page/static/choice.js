@@ -4,7 +4,7 @@ import {at} from './geometry.js'
 import * as ink from './ink.js'
 
 export class Choice {
-  constructor(view) { Object.assign(this, {view, page: view.page, marking: null}) }
+  constructor(view) { Object.assign(this, {view, page: view.page, marking: null, hovered: null}) }
 
   /** The stroke under a pixel, and the time on it: {stroke, time}; null where there is none within reach [CSS px]. */
   under(p, reach = 14) {
@@ -19,6 +19,15 @@ export class Choice {
       }
     }
     return best
+  }
+
+  /** What the pointer is over, at a pixel (null: it has left), with a tool that chooses. */
+  hover(p) {
+    const {tool} = this.page, found = p && ['select', 'mark', 'erase'].includes(tool) ? this.under(p, tool === 'mark' ? 30 : 14)?.stroke ?? null : null
+    this.view.frame.classList.toggle('over', !!found)
+    if (found === this.hovered) return
+    this.hovered = found
+    this.view.paintHelp()
   }
 
   choose(p, marking) {
@@ -47,7 +56,13 @@ export class Choice {
     this.view.paintHelp()
   }
 
-  paint(g) { if (this.marking) ink.paintMark(g, at(this.marking.stroke.points, this.marking.stroke.times, this.marking.time), '', this.view.px) }
+  paint(g) {
+    const {hovered, page, view} = this
+    if (hovered && page.document.strokes(view.name).includes(hovered)) ink.paintHovered(g, hovered, page.tool === 'erase', view.px)
+    this.paintMarking(g)
+  }
+
+  paintMarking(g) { if (this.marking) ink.paintMark(g, at(this.marking.stroke.points, this.marking.stroke.times, this.marking.time), '', this.view.px) }
 
   cancel() {
     const some = !!this.marking

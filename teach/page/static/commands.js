@@ -39,14 +39,15 @@ function commands(page) {
     {group: 'Motion', key: 'Space', label: 'Play', place: 'play', icon: () => page.clock.playing ? 'pause' : 'play', can: () => page.motion, run: () => page.play()},
     {group: 'Motion', key: ',', label: 'A moment back', run: () => page.setTime(Math.max(0, page.clock.time - 0.02))},
     {group: 'Motion', key: '.', label: 'A moment on', run: () => page.setTime(Math.min(1, page.clock.time + 0.02))},
-    {group: 'Motion', key: 'R', label: 'Redraw the least certain part', place: 'redraw', short: 'Redraw this part', run: () => work.redraw()},
+    {group: 'Motion', key: 'R', label: 'Redraw the least certain part, on the view that sees it best', place: 'redraw', short: 'Redraw this part', can: () => page.motion && !page.stale, run: () => page.redraw.begin()},
     {group: 'Motion', key: 'Ctrl+Enter', label: 'Check reach, clearance and timing', place: 'act', short: 'Check', off: !page.scene.can.plan, can: () => page.motion, run: () => work.check()},
     {group: 'Motion', key: 'Shift+Enter', label: 'Perform in simulation', place: 'act', short: 'Perform', off: !page.scene.can.perform, can: () => page.motion, run: () => work.perform()},
-    {group: 'Motion', key: 'Ctrl+Shift+Enter', label: 'Done: go on with this skill', place: 'act', short: 'Done', main: true, off: !page.scene.can.finish, can: () => page.motion, run: () => work.done()},
+    {group: 'Motion', key: 'Ctrl+Shift+Enter', label: 'Done: go on with this skill', place: 'act', short: 'Done', off: !page.scene.can.finish, can: () => page.motion, run: () => work.done()},
     {group: 'Pictures', key: '1', label: 'To the first picture', run: () => page.views[0].frame.focus()},
     {group: 'Pictures', key: '2', label: 'To the second picture', run: () => page.views[1].frame.focus()},
     {group: 'Pictures', key: 'L', label: 'Another picture here', run: () => page.pictures.choose(view())},
     {group: 'Pictures', key: 'A', label: 'Another viewpoint here', off: !page.scene.can.render, run: () => page.orbit.open(view())},
+    {group: 'Pictures', key: 'Y', label: 'Suggest a viewpoint for the next sketch, and why', place: 'suggest', short: 'Suggest a viewpoint', off: !page.scene.can.suggest, can: () => page.drawn.length, run: () => page.orbit.suggestNext()},
     {group: 'Pictures', key: '3', label: 'To the motion in space', run: () => find('space').focus()},
     {group: 'Pictures', key: 'F', label: 'Enlarge this picture, or the motion in space', run: () => document.activeElement === find('space') ? page.space.enlarge() : page.pictures.enlarge(view())},
     {group: 'Pictures', key: '+', also: '=', label: 'Closer', run: () => view().zoomBy(1.5)},
@@ -62,7 +63,7 @@ function commands(page) {
     {group: 'Skill', key: 'Ctrl+Shift+S', label: 'Export as SVG', place: 'menu', run: () => download(`${page.name}.svg`, toSVG(doc, colourOf), 'image/svg+xml')},
     {group: 'Skill', key: 'Ctrl+O', label: 'Import JSON or SVG', place: 'menu', run: () => find('file').click()},
     {group: 'Help', key: '?', label: 'All keys', place: 'history', icon: 'keys', run: () => find('keys').showModal()},
-    {group: 'Help', key: 'Escape', label: 'Stop what is going on', run: () => { if (!page.cancel() && !work.stop()) page.select(null) }},
+    {group: 'Help', key: 'Escape', label: 'Stop what is going on', run: () => { if (!page.cancel() && !page.redraw.end() && !work.stop()) page.select(null) }},
   ].filter(command => !command.off)
 }
 
@@ -99,10 +100,10 @@ export function bindCommands(page) {
   const all = commands(page), byKey = new Map(), buttons = []
   for (const command of all) for (const key of [command.key, command.also]) if (key) byKey.set(key, command)
   for (const command of all.filter(c => c.place)) {
-    const button = Object.assign(document.createElement('button'), {type: 'button', title: `${command.label} (${command.key})`})
+    const button = Object.assign(document.createElement('button'), {type: 'button'})
     button.setAttribute('aria-keyshortcuts', command.key.replaceAll('Ctrl', 'Control'))
-    if (command.icon) button.setAttribute('aria-label', command.label)
-    if (command.main) button.classList.add('main')
+    if (command.icon) { button.setAttribute('aria-label', command.label); button.dataset.tip = `${command.label}   ${command.key}` }
+    else button.title = `${command.label} (${command.key})`
     if (!command.icon) button.append(command.short ?? command.label)
     if (['menu', 'marks'].includes(command.place)) button.append(Object.assign(document.createElement('kbd'), {textContent: command.key}))
     button.addEventListener('click', event => {
@@ -119,8 +120,11 @@ export function bindCommands(page) {
       if (drawn && button.dataset.icon !== drawn) { button.dataset.icon = drawn; button.replaceChildren(icon(drawn)) }
       if (command.on) button.setAttribute('aria-pressed', !!command.on())
       if (command.can) button.disabled = !command.can()
+      if (command.place === 'act') button.classList.toggle('main', command.short === page.next)
     }
   }
+  for (const type of ['pointerenter', 'focusin']) find('redraw').addEventListener(type, () => page.redraw.show(true))
+  for (const type of ['pointerleave', 'focusout']) find('redraw').addEventListener(type, () => page.redraw.show(false))
   page.refreshCommands()
   addEventListener('keydown', event => {
     const typing = event.target.matches?.('input:not([type=range]), select, textarea'), open = document.querySelector('dialog[open]')

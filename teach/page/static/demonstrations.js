@@ -35,6 +35,7 @@ export class Demonstrations {
     const chips = numbers.map(n => this.chip(n, [...new Set(all.filter(([m]) => m === n).map(([, view]) => view))]))
     const outlines = doc.all.filter(x => x.stroke.kind === 'keep_out').length, arrows = doc.all.filter(x => x.stroke.kind === 'arrow').length
     if (outlines) chips.push(make('span', {className: 'chip still', textContent: `${outlines} keep-out ${outlines === 1 ? 'outline' : 'outlines'}`}))
+    if (!numbers.length) chips.unshift(make('p', {className: 'quiet', textContent: 'Each stroke on a picture is one demonstration; two or three show how far the motion may vary.'}))
     if (arrows) chips.push(make('span', {className: 'chip still', textContent: `hand's arrow, ${arrows} ${arrows === 1 ? 'view' : 'views'}`}))
     find('demonstrations').replaceChildren(...chips)
   }

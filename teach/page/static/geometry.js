@@ -141,18 +141,19 @@ export function matched(a, b, F, n = 48, stiffness = 0.15) {
   return rows.reverse()
 }
 
-const SHORTEST = 0.02 // of a stroke: less of it apart is how strokes begin and end
+const SHORTEST = 0.02 // of either stroke: less of both apart is how strokes begin and end
 
-/** The longest stretch of matched rows that are further apart than tolerance [px]: {from, to} fractions of stroke b, and the
- *  most [px]; null where strokes agree. */
+/** The longest stretch of matched rows that are further apart than tolerance [px]: {from, to} fractions of stroke b, its
+ *  length as a fraction of the stroke that has more of it, and the most [px]; null where strokes agree. */
 export function disagreement(rows, tolerance) {
   let best = null, start = -1
   for (let i = 0; i <= rows.length; i++) {
     const bad = i < rows.length && rows[i].off > tolerance
     if (bad && start < 0) start = i
     if (!bad && start >= 0) {
-      const part = rows.slice(start, i), found = {from: part[0].b, to: part[part.length - 1].b, most: Math.max(...part.map(r => r.off))}
-      if (found.to - found.from > SHORTEST && (!best || found.to - found.from > best.to - best.from)) best = found
+      const part = rows.slice(start, i), last = part[part.length - 1]
+      const found = {from: part[0].b, to: last.b, most: Math.max(...part.map(r => r.off)), length: Math.max(last.a - part[0].a, last.b - part[0].b)}
+      if (found.length > SHORTEST && found.length > (best?.length ?? 0)) best = found
       start = -1
     }
   }

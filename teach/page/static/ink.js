@@ -144,9 +144,41 @@ export function paintHelp(g, {width, height}, band, line, px, colour) {
   g.restore()
 }
 
+/** Words on a line, near the left end of what is seen of it. */
+export function paintWords(g, {width, height}, line, words, px) {
+  const ends = clipped(line, width, height)
+  if (!ends) return
+  const [[x, y], [u, v]] = ends[0][0] < ends[1][0] ? ends : [ends[1], ends[0]], far = Math.max(Math.hypot(u - x, v - y), 1e-9), share = Math.min(1, 90 * px / far)
+  paintPill(g, [x + share * (u - x), y + share * (v - y)], words, px, 'rgb(16 18 26 / .86)')
+}
+
+/** White words on a rounded ground, in the middle of a place. */
+function paintPill(g, [u, v], words, px, colour) {
+  g.save()
+  g.font = `600 ${12 * px}px system-ui, sans-serif`
+  const w = g.measureText(words).width + 16 * px
+  g.fillStyle = colour
+  g.beginPath()
+  g.roundRect(u - w / 2, v - 11 * px, w, 22 * px, 11 * px)
+  g.fill()
+  g.fillStyle = '#fff'
+  g.textAlign = 'center'
+  g.textBaseline = 'middle'
+  g.fillText(words, u, v + 0.5 * px)
+  g.restore()
+}
+
+/** The stroke that a click would choose, or take away. */
+export function paintHovered(g, stroke, erases, px) {
+  g.lineCap = g.lineJoin = 'round'
+  g.lineWidth = 11 * px
+  g.strokeStyle = erases ? 'rgb(255 45 61 / .55)' : 'rgb(255 255 255 / .55)'
+  g.stroke(pathOf(stroke))
+}
+
 /** A part of a stroke that its other view contradicts. */
 export function paintDisagreement(g, stroke, along, {from, to, most}, px) {
-  const inside = stroke.points.filter((_, i) => along[i] >= from - 1e-9 && along[i] <= to + 1e-9)
+  const room = Math.max(0, 0.03 - (to - from) / 2), inside = stroke.points.filter((_, i) => along[i] >= from - room && along[i] <= to + room)
   if (inside.length < 2) return
   g.save()
   g.beginPath()
@@ -155,16 +187,7 @@ export function paintDisagreement(g, stroke, along, {from, to, most}, px) {
   g.lineWidth = 13 * px
   g.strokeStyle = 'rgb(255 45 61 / .45)'
   g.stroke()
-  const [u, v] = inside[Math.floor(inside.length / 2)], text = `${Math.round(most)} px apart`
-  g.font = `600 ${12 * px}px system-ui, sans-serif`
-  const w = g.measureText(text).width + 14 * px
-  g.fillStyle = 'rgb(160 12 28 / .95)'
-  g.beginPath()
-  g.roundRect(u - w / 2, v - 34 * px, w, 21 * px, 10 * px)
-  g.fill()
-  g.fillStyle = '#fff'
-  g.textAlign = 'center'
-  g.textBaseline = 'middle'
-  g.fillText(text, u, v - 23.5 * px)
   g.restore()
+  const [u, v] = inside[Math.floor(inside.length / 2)]
+  paintPill(g, [u, v - 24 * px], `${Math.round(most)} px apart`, px, 'rgb(160 12 28 / .95)')
 }

@@ -37,7 +37,7 @@ export class Orbit {
     this.image = find('orbit-picture')
     const stage = this.stage = find('orbit-stage')
     this.table = new Turntable(stage, () => this.look(this.table.camera(this.like)), {lowest: -0.2})
-    find('orbit-use').addEventListener('click', () => { find('orbit').close(); page.pictures.use(this.view, this.camera) })
+    find('orbit-use').addEventListener('click', () => { find('orbit').close(); page.pictures.use(this.view, this.camera, this.shown === this.camera ? this.image : null) })
     find('orbit-suggest').addEventListener('click', () => this.suggest())
     find('orbit').addEventListener('close', () => { clearTimeout(this.timer); this.asking?.abort() })
     find('orbit-suggest').hidden = !page.scene.can.suggest
@@ -84,6 +84,7 @@ export class Orbit {
       this.image.src = url
       await this.image.decode().catch(() => {})
       if (old.startsWith('blob:')) URL.revokeObjectURL(old)
+      this.shown = camera
       this.image.dataset.width = camera.width
       this.image.dataset.ms = Math.round(performance.now() - began)
     } catch (error) {
@@ -91,7 +92,16 @@ export class Orbit {
     } finally { if (this.asking === asking) this.asking = null }
   }
 
+  /** A viewpoint for the next sketch, to take the place of a picture that is not drawn on. */
+  suggestNext() {
+    const {page} = this
+    this.open(page.views.find(v => !page.drawn.includes(v.name)) ?? page.focused)
+    return this.suggest()
+  }
+
   async suggest() {
+    const free = this.page.views.find(v => !this.page.drawn.includes(v.name))
+    if (free) this.view = free
     find('orbit-words').textContent = 'Looking for the best viewpoint.'
     try {
       const {camera, sentence} = await ask('/api/suggest', {method: 'POST', body: {skill: this.page.name, tab}})

@@ -1,7 +1,7 @@
 // Painting what was learned and checked over a picture, in its own pixels. `px` is the size of a CSS pixel there.
 
 import {add, project, ellipse, at, depth} from './geometry.js'
-import {ARROW, paintHead, timeColour} from './ink.js'
+import {ARROW, paintHead, paintMark, timeColour} from './ink.js'
 
 /** A polyline of world points as the camera sees it, painted piece by piece in the colour of its time. */
 export function paintTimed(g, camera, points, times, width, alpha, colour = timeColour) {
@@ -22,7 +22,7 @@ export function paintTimed(g, camera, points, times, width, alpha, colour = time
 }
 
 /** The learned motion: its spread as ellipses of two deviations, samples, the mean. */
-export function paintMotion(g, camera, motion, px, {weakest = true} = {}) {
+export function paintMotion(g, camera, motion, px) {
   const {times} = motion
   motion.ways.forEach((way, number) => {
     g.save()
@@ -39,18 +39,22 @@ export function paintMotion(g, camera, motion, px, {weakest = true} = {}) {
     paintTimed(g, camera, way.mean, times, 4 * px, 1)
     g.restore()
   })
-  if (weakest && motion.weakest) paintPart(g, camera, motion, motion.weakest, px)
 }
 
-function paintPart(g, camera, motion, {from, to}, px) {
+/** The marks of events at their places [{name, point}] of the world. */
+export function paintEvents(g, camera, events, px) {
+  for (const {name, point} of events) { const here = project(camera, point); if (here) paintMark(g, here, name, px) }
+}
+
+/** A part of the motion {from, to}, marked. */
+export function paintPart(g, camera, motion, {from, to}, px) {
   const inside = motion.ways[0].mean.filter((_, i) => motion.times[i] >= from && motion.times[i] <= to).map(p => project(camera, p)).filter(Boolean)
   g.save()
   g.beginPath()
   inside.forEach((p, i) => i ? g.lineTo(...p) : g.moveTo(...p))
-  g.setLineDash([2 * px, 6 * px])
-  g.lineWidth = 12 * px
-  g.lineCap = 'butt'
-  g.strokeStyle = 'rgb(255 196 0 / .55)'
+  g.lineWidth = 18 * px
+  g.lineCap = g.lineJoin = 'round'
+  g.strokeStyle = 'rgb(255 205 0 / .5)'
   g.stroke()
   g.restore()
 }

@@ -7,7 +7,7 @@
 //   clock.js     the moment, playing         ink.js       painting strokes        orbit.js      other viewpoints
 //   commands.js  every command, its key      overlay.js   painting the motion     geometry.js   the maths
 //   pictures.js  which views are shown       help.js      epipolar help           hand.js       how the hand is held
-//   demonstrations.js, dialogs.js
+//   redraw.js    a part drawn anew        timeline.js  along the slider      demonstrations.js, dialogs.js
 
 import {Document} from './document.js'
 import {View} from './view.js'
@@ -20,7 +20,9 @@ import {Demonstrations} from './demonstrations.js'
 import {Hand} from './hand.js'
 import {Orbit} from './orbit.js'
 import {Pictures} from './pictures.js'
+import {Redraw} from './redraw.js'
 import {Scene3D} from './scene3d.js'
+import {Timeline} from './timeline.js'
 import {MARKS, timeColour} from './ink.js'
 import {tipAt} from './overlay.js'
 import {at} from './geometry.js'
@@ -37,6 +39,8 @@ class Page {
     this.motion = this.plan = this.selected = null
     this.demonstrations = new Demonstrations(this)
     this.pictures = new Pictures(this)
+    this.redraw = new Redraw(this)
+    this.timeline = new Timeline(this)
     this.clock = new Clock(() => this.duration, () => this.paintMoment())
     this.views = [new View(this, 0), new View(this, 1)]
     this.focused = this.views[0]
@@ -71,12 +75,18 @@ class Page {
   addStroke(view, stroke) {
     this.document.addView(view.name, view.view.camera)
     if (stroke.kind === 'arrow') return this.hand.drawn(view, stroke)
+    const part = this.redraw.mends(view, stroke)
+    this.redraw.end()
+    if (part) {
+      this.document.replace(view.name, part.stroke, part.mended, 'drew a part again')
+      return this.say(`That part of demonstration ${(part.stroke.demonstration ?? 0) + 1} is drawn anew on ${view.name}.`)
+    }
     const {chosen} = this.demonstrations, old = chosen !== null && stroke.kind === 'motion' && this.document.motions(view.name).find(s => s.demonstration === chosen)
     if (old) this.document.replace(view.name, old, stroke, 'drew a stroke again')
     else this.document.add(view.name, stroke)
     this.demonstrations.chosen = null
     const kind = stroke.kind === 'keep_out' ? 'Keep-out region' : 'Demonstration'
-    this.say(`${kind} ${stroke.demonstration + 1} on ${view.name}: ${stroke.points.length} samples.`)
+    this.say(`${kind} ${stroke.demonstration + 1} is on ${view.name} (${stroke.points.length} samples).`)
     this.demonstrations.show()
   }
 
@@ -87,6 +97,7 @@ class Page {
     if (/^(Undone|Done again)/.test(why)) this.say(`${why}.`)
     this.demonstrations.show()
     this.hand.show()
+    this.work.tellApart()
     this.refreshCommands?.()
     this.paint()
   }
@@ -105,6 +116,7 @@ class Page {
   setTool(tool) {
     this.cancel()
     this.tool = tool
+    if (tool !== 'draw') this.redraw.end()
     find('views').dataset.tool = tool
     this.refreshCommands?.()
   }
@@ -121,7 +133,7 @@ class Page {
     const stroke = this.document.mark(selected.view, selected.stroke, name, Math.round(time * 1e6) / 1e6)
     this.select({view: selected.view, stroke})
     if (choice?.marking) choice.marking = {stroke, time}
-    this.say(`${MARKS[name].label} ${stroke.events.length ? 'marked' : 'taken away'}.`)
+    this.say(`${MARKS[name].label} ${stroke.events.length > (selected.stroke.events?.length ?? 0) ? 'marked' : 'taken away'}.`)
   }
 
   offerMarks(view) {
@@ -157,9 +169,16 @@ class Page {
   setTime(t) { this.clock.set(t) }
 
   /** Where the motion is now [m]. */
-  moment() { return this.plan ? tipAt(this.plan, this.clock.time) : at(this.motion.ways[0].mean, this.motion.times, this.clock.time) }
+  moment() { return this.where(this.clock.time) }
+  where(t) { return this.plan ? tipAt(this.plan, t) : at(this.motion.ways[0].mean, this.motion.times, t) }
+
+  /** What happens along the motion, or the checked one, and where: {name, point} each. */
+  happenings() {
+    return this.timeline.events.map(({name, at: t}) => ({name, point: this.where(t)}))
+  }
 
   paintMoment() {
+    this.timeline.show()
     this.views.forEach(view => view.view && view.paintMoment())
     this.space.paint()
   }
@@ -178,11 +197,31 @@ class Page {
     find('conflict').hidden = state !== 'conflict'
   }
 
+  /** Names of the views on which the motion is drawn. */
+  get drawn() { return this.document.sketches.filter(s => this.document.motions(s.view).length).map(s => s.view) }
+
+  /** The command that a person is led to next. */
+  get next() {
+    const {can} = this.scene
+    if (!this.motion || this.stale) return null
+    if (can.plan && !this.plan) return 'Check'
+    if (this.plan?.feasible && can.perform && !this.performed) return 'Perform'
+    return this.plan && !this.plan.feasible ? null : 'Done'
+  }
+
+  /** What to do on a picture, while it is not plain: shown on it. */
+  hint(view) {
+    const {drawn} = this
+    if (this.tool !== 'draw' && this.tool !== 'waypoints' || drawn.length > 1 || drawn.includes(view.name) || view.pen.line) return ''
+    if (drawn.length) return 'Now the same motion here'
+    return view.number ? 'Then once more here' : this.tool === 'draw' ? 'Draw the motion here, from beginning to end' : 'Click the motion, point by point'
+  }
+
   /** What to do next, in a sentence. */
   advice() {
-    const drawn = this.document.sketches.filter(s => this.document.motions(s.view).length)
+    const {drawn} = this
     if (!drawn.length) return 'Draw the motion on one picture, from its beginning to its end.'
-    if (drawn.length === 1) return `Now draw the same motion on a second picture. The bright band shows where it can be.`
+    if (drawn.length === 1) return 'Now draw the same motion on a second picture: the bright band shows where it can be.'
     return null
   }
 }

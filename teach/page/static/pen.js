@@ -14,7 +14,7 @@ export class Pen {
   constructor(view) { Object.assign(this, {view, page: view.page, line: null, painted: 0}); this.forget() }
 
   /** Another picture is shown: what was begun on the one before is gone. */
-  forget() { this.line = this.cursor = this.helper = null; this.waypoints = [] }
+  forget() { this.line = this.cursor = this.helper = this.over = null; this.waypoints = [] }
 
   draws(tool) { return tool in KINDS }
 
@@ -24,6 +24,7 @@ export class Pen {
     const kind = KINDS[tool]
     this.line = {points: [], times: [], demonstration: this.page.demonstrations.next(this.view.name, kind), kind, events: [], pressure: [], pointer: event.pointerType || 'mouse'}
     this.start = event.timeStamp
+    this.helper = this.over = null
     this.began = performance.now()
     this.painted = 0
     this.sample(event)
@@ -59,6 +60,14 @@ export class Pen {
       return this.paint()
     }
     this.page.addStroke(view, stroke)
+  }
+
+  /** The pen is over the picture (or has left it: null), and nothing is being drawn. */
+  hover(event) {
+    const over = event && !this.line && this.page.tool === 'draw'
+    if (!over && !this.over) return
+    this.over = over
+    this.view.paintHelp()
   }
 
   drop() { this.line = null; this.paint() }
@@ -129,10 +138,22 @@ export class Pen {
 
   paintHelp(g) {
     const {line, view, page} = this
+    if (this.over && !line) return this.paintBeginning(g)
     if (!(line?.kind === 'motion' || this.waypoints.length)) return
-    const helper = this.helper ??= Helper.of(page.document, view.view, line?.demonstration ?? page.demonstrations.next(view.name))
+    const helper = this.helper ??= Helper.of(page.document, view.view, line?.demonstration ?? page.demonstrations.next(view.name), page.redraw.start(view))
     if (!helper) return
     const {band, line: moment} = helper.at(line ? line.points.at(-1) : this.waypoints.at(-1), line ? (performance.now() - this.began) / 1000 : null)
     ink.paintHelp(g, view.view.camera, band, moment, view.px, ink.inkOf(helper.stroke.demonstration ?? 0))
+  }
+
+  /** Where the stroke that comes next begins, where another view has it already. */
+  paintBeginning(g) {
+    const {view, page} = this, next = page.demonstrations.next(view.name)
+    if (page.redraw.view || !page.document.sketches.some(s => s.view !== view.name && page.document.motions(s.view).some(x => (x.demonstration ?? 0) === next))) return
+    const helper = Helper.of(page.document, view.view, next)
+    if (!helper) return
+    const {band, line} = helper.at(null, 0)
+    ink.paintHelp(g, view.view.camera, band, line, view.px, ink.inkOf(next))
+    if (line) ink.paintWords(g, view.view.camera, line, 'It begins on this line', view.px)
   }
 }

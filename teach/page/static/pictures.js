@@ -52,13 +52,14 @@ export class Pictures {
     page.space.paint()
   }
 
-  /** A viewpoint of one's own becomes a view of this skill. */
-  async use(view, camera) {
+  /** A viewpoint of one's own becomes a view of this skill. seen: its picture, where it is shown already. */
+  async use(view, camera, seen) {
     const {page} = this
     let n = 1
     while (this.named(`viewpoint ${n}`)) n++
     const own = {name: `viewpoint ${n}`, camera, kind: 'free'}
     page.document.addView(own.name, camera)
+    if (seen) this.loaded.set(JSON.stringify([own.name, camera]), copied(seen))
     page.saver.save()
     await view.show(own)
     page.say(`Draw the motion on ${own.name}.`)
@@ -71,4 +72,11 @@ export class Pictures {
     this.page.views.forEach(v => v.element.classList.toggle('hidden', large && v !== view))
     view.element.querySelector('[data-do=enlarge]').setAttribute('aria-pressed', large)
   }
+}
+
+async function copied(image) {
+  const copy = new Image()
+  copy.src = image.src
+  await copy.decode()
+  return copy
 }

@@ -10,6 +10,7 @@ export class Pointers {
   constructor(view) {
     Object.assign(this, {view, page: view.page, frame: view.frame, touches: new Map(), penAt: -Infinity, doing: null})
     for (const type of ['pointerdown', 'pointermove', 'pointerup', 'pointercancel', 'lostpointercapture']) this.frame.addEventListener(type, event => this[type](event))
+    this.frame.addEventListener('pointerleave', () => this.hover(null))
     this.frame.addEventListener('contextmenu', event => event.preventDefault())
     this.frame.addEventListener('wheel', event => this.wheel(event), {passive: false})
   }
@@ -45,10 +46,19 @@ export class Pointers {
     const {view} = this
     if (event.pointerType === 'pen') this.penAt = event.timeStamp
     if (this.touches.has(event.pointerId)) this.pinched(event)
+    if (this.active === undefined && event.pointerType !== 'touch') this.hover(event)
     if (event.pointerId !== this.active) return
     if (this.doing === 'pan') view.moveTo(view.zoom.scale, event.clientX - this.grip[0], event.clientY - this.grip[1])
     else if (this.doing === 'erase' && !this.mayZoom(event)) this.act(event)
     else view.pen.move(event)
+  }
+
+  /** Nothing is pressed: what would happen here if it were. */
+  hover(event) {
+    const {view} = this
+    if (!view.view || this.page.views.some(v => v.pen.line)) return
+    view.pen.hover(event)
+    view.choice.hover(event && view.pixel(event))
   }
 
   mayZoom(event) { return event.pointerType === 'touch' && event.timeStamp - this.began < TOGETHER }

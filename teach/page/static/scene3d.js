@@ -6,6 +6,7 @@ import {around, project, centre, add, ray, depth} from './geometry.js'
 import {Arm, posesAt} from './arm.js'
 import {Raster, unpack} from './raster.js'
 import {Turntable} from './turntable.js'
+import {paintEvents} from './overlay.js'
 import {ARROW, paintHead, timeColour} from './ink.js'
 import {ask, tab} from './server.js'
 
@@ -23,8 +24,16 @@ export class Scene3D {
 
   /** From the side of where the first picture was taken, the arm not in the way. */
   beginning() {
-    const {views: [first], target, can} = this.page.scene, p = first ? around(first.camera, target) : {azimuth: -2, elevation: 0.6, distance: 2}
-    return {azimuth: p.azimuth + 1.1, elevation: Math.min(p.elevation, 0.5), distance: (can.body ? 1.25 : 1.15) * p.distance, target: can.body ? [0.6 * target[0], 0.6 * target[1], target[2]] : target}
+    const {views: [first], target} = this.page.scene, p = first ? around(first.camera, target) : {azimuth: -2, elevation: 0.6, distance: 2}
+    return {azimuth: p.azimuth + 1.1, elevation: Math.min(p.elevation, 0.5), distance: 1.15 * p.distance, target}
+  }
+
+  /** From there, but so that the arm is seen with what is looked at; not where one has turned the scene already. */
+  withArm() {
+    if (this.table.place !== this.table.first) return
+    const points = [this.page.scene.target, ...this.arm.home], [low, high] = [Math.min, Math.max].map(f => [0, 1, 2].map(axis => f(...points.map(p => p[axis]))))
+    const begin = this.beginning(), target = low.map((x, axis) => (x + high[axis]) / 2)
+    this.table.begin({...begin, target, distance: Math.max(begin.distance, 1.5 * Math.hypot(...low.map((x, axis) => high[axis] - x)))})
   }
 
   /** The surface or the points, then the arm: after the pictures, which one draws on first. */
@@ -38,6 +47,7 @@ export class Scene3D {
     this.changed()
     if (!can.body) return
     this.arm = new Arm(await ask('/api/body', {method: 'POST', body: {tab}}))
+    this.withArm()
     this.changed()
   }
 
@@ -93,7 +103,7 @@ export class Scene3D {
       const bad = plan.touches[i] || plan.strays[i]
       if (i) this.line(g, camera, [plan.tip[i - 1], p], bad ? '#ff2d3d' : '#12b878', (bad ? 4.5 : 2) * r)
     })
-    if (learned || plan) this.paintMoment(g, camera, r)
+    if (learned || plan) { paintEvents(g, camera, page.happenings(), r); this.paintMoment(g, camera, r) }
   }
 
   paintSurfaces() {

@@ -43,9 +43,9 @@ export class View {
     this.pen.forget()
     this.ghost = null
     this.element.querySelector('.name').textContent = view.name
-    this.element.querySelector('.kind').textContent = {photograph: 'photograph', rendered: 'rendered by the field', free: 'your viewpoint, rendered'}[view.kind]
+    this.element.querySelector('.kind').textContent = {photograph: 'photograph', rendered: this.page.scene.can.render ? 'rendered by the field' : 'rendered', free: 'your viewpoint, rendered'}[view.kind]
     this.frame.setAttribute('aria-label', `Picture ${this.number + 1}: ${view.name}. Draw here, or press W for waypoints with the arrow keys and Enter.`)
-    this.frame.style.aspectRatio = `${view.camera.width} / ${view.camera.height}`
+    this.frame.style.setProperty('--aspect', view.camera.width / view.camera.height)
     this.fit()
     this.frame.classList.add('waiting')
     try { this.image = await this.page.pictures.of(view) } catch (error) { this.element.querySelector('.absent').textContent = error.message }
@@ -90,7 +90,7 @@ export class View {
     const seen = points.map(p => project(this.view.camera, p)).filter(Boolean), {clientWidth: w, clientHeight: h} = this.frame
     if (!seen.length) return
     const [low, high] = [Math.min, Math.max].map(f => [0, 1].map(axis => f(...seen.map(p => p[axis]))))
-    const scale = Math.min(w / (3 * (high[0] - low[0]) + 60), h / (3 * (high[1] - low[1]) + 60), 6 * this.least)
+    const scale = Math.min(w / (3 * (high[0] - low[0]) + 120), h / (3 * (high[1] - low[1]) + 120), 3.5 * this.least)
     const bounded = Math.max(scale, this.least)
     this.moveTo(bounded, w / 2 - bounded * (low[0] + high[0]) / 2, h / 2 - bounded * (low[1] + high[1]) / 2)
   }
@@ -123,13 +123,21 @@ export class View {
     if (this.image) picture.drawImage(this.image, 0, 0, camera.width, camera.height)
     const g = this.brush('ink'), motion = page.shows.motion && page.motion
     if (page.shows.strokes) for (const stroke of page.document.strokes(this.name)) {
-      ink.paintStroke(g, stroke, this.px, {selected: stroke === page.selected?.stroke, faded: !!motion && !page.stale})
+      ink.paintStroke(g, stroke, this.px, {selected: stroke === page.selected?.stroke, faded: !!motion && !page.stale && page.redraw.view !== this})
     }
-    if (motion) { g.globalAlpha = page.stale ? 0.35 : 1; overlay.paintMotion(g, camera, motion, this.px); g.globalAlpha = 1 }
+    if (motion) { g.globalAlpha = page.stale || page.redraw.view === this ? 0.35 : 1; overlay.paintMotion(g, camera, motion, this.px); g.globalAlpha = 1 }
+    if (motion && page.redraw.marked) overlay.paintPart(g, camera, motion, motion.weakest, this.px)
     if (page.plan) overlay.paintPlan(g, camera, page.plan, this.px)
+    if (motion && !page.stale) overlay.paintEvents(g, camera, page.happenings(), this.px)
     if (page.shows.strokes) this.paintDisagreements(g)
     this.pen.paint()
     this.paintMoment()
+    this.showHint()
+  }
+
+  showHint() {
+    const words = this.page.hint(this), hint = this.element.querySelector('.hint')
+    if (hint.textContent !== words) hint.textContent = words
   }
 
   paintDisagreements(g) {

@@ -12,7 +12,7 @@ export class Work {
   forget() {
     clearTimeout(this.timer)
     this.page.motion = this.page.plan = null
-    this.page.stale = false
+    this.page.stale = this.page.performed = false
     find('video').removeAttribute('src')
     this.tellAll('')
   }
@@ -21,6 +21,7 @@ export class Work {
   changed() {
     this.page.stale = true
     this.page.plan = null
+    this.page.performed = false
     clearTimeout(this.timer)
     const advice = this.page.advice()
     if (advice) { this.page.motion = null; this.tellAll(advice) }
@@ -90,26 +91,21 @@ export class Work {
     list.tabIndex = list.scrollHeight > list.clientHeight ? 0 : -1 // what has to be scrolled can be by keys
     find('redraw').hidden = true
     find('verdict').hidden = true
+    find('suggest').hidden = !this.page.scene.can.suggest || !this.page.drawn.length
+  }
+
+  /** Where the strokes of the views that are shown contradict each other: which part, and by how much. */
+  tellApart() {
+    const found = this.page.views.filter(v => v.view).flatMap(v => v.disagreements().map(d => ({...d, view: v.name})))
+    find('apart').replaceChildren(...found.map(({stroke, part, other, view}) => Object.assign(document.createElement('li'), {
+      textContent: `Demonstration ${(stroke.demonstration ?? 0) + 1}, ${about(part)} on ${view}: up to ${Math.round(part.most)} px from where ${other} puts it.`,
+    })))
   }
 
   redrawOffered() {
-    const weak = this.page.motion?.weakest
+    const {redraw} = this.page, {weak} = redraw
     find('redraw').hidden = !weak
-    if (weak) find('redraw').title = `From ${Math.round(100 * weak.from)} % to ${Math.round(100 * weak.to)} %, on ${weak.view}`
-  }
-
-  /** Go to the view that sees best what is least known, zoomed in on that part. */
-  async redraw() {
-    const {page} = this, weak = page.motion?.weakest
-    if (!weak) return page.say('Every part of the motion is known about equally well.')
-    let view = page.views.find(v => v.name === weak.view)
-    if (!view) { view = page.focused; await view.show(page.pictures.named(weak.view)) }
-    page.setTool('draw')
-    page.setTime((weak.from + weak.to) / 2)
-    page.focus(view)
-    view.frame.focus()
-    view.look(page.motion.ways[0].mean.filter((_, i) => page.motion.times[i] >= weak.from && page.motion.times[i] <= weak.to))
-    page.say(`Draw the motion once more on ${weak.view}, with care where it is marked in yellow.`)
+    if (weak) find('redraw-words').textContent = weak.clear ? '' : redraw.words() // where it is clear, the sentence says it
   }
 
   async check() {
@@ -137,6 +133,8 @@ export class Work {
     if (!page.plan.feasible) return page.say('What cannot be done is not performed: change the motion first.')
     const done = await this.do('perform', 'The arm performs it in simulation')
     if (!done) return
+    page.performed = true
+    page.refreshCommands()
     find('video').src = `${skillPath(page.name)}/video?${Date.now()}`
     find('video-words').textContent = sentence(done.sentence)
     find('film').showModal()
@@ -156,4 +154,5 @@ export class Work {
   space() { this.page.space?.paint() }
 }
 
+const about = ({from, to}) => to - from < 0.05 ? `around ${Math.round(50 * (from + to))} %` : `${Math.round(100 * from)} % to ${Math.round(100 * to)} %`
 const sentence = text => text.charAt(0).toUpperCase() + text.slice(1) + (/[.!?]$/.test(text) ? '' : '.')
