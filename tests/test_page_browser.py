@@ -282,6 +282,7 @@ def test_a_part_that_was_drawn_badly_is_offered_and_drawn_anew_in_its_stroke(vis
     until(tab, "page.focused.zoom.scale > 1.5 * page.focused.least")
     view = tab.evaluate("page.views.indexOf(page.redraw.view)")
     assert tab.evaluate("page.focused.number") == view and "begin and end on a stroke" in tab.inner_text("#says")
+    tab.keyboard.press("-")
     drawn, k = server.strokes("again")[view], slice(12, 22)
     along = np.linalg.norm(drawn.points - motion(view)[12], axis=1).argmin(), np.linalg.norm(drawn.points - motion(view)[21], axis=1).argmin()
     draw(tab, view, motion(view)[k])

@@ -51,7 +51,7 @@ def answering(handler):
         except FileNotFoundError as error:
             return json_answer({"error": str(error), "field": "name"}, 404)
         except (SketchError, Refused) as error:
-            return json_answer({"error": str(error), "field": field_of(str(error))}, 422)
+            return json_answer({"error": str(error), "field": field_of(str(error)) or "body"}, 422)
         except ClientDisconnect:
             return json_answer({"error": "the page went away", "field": None}, 400)
 

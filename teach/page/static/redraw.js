@@ -3,6 +3,7 @@
 import {arcLength, at} from './geometry.js'
 
 const NEAR = 40 // CSS px from a stroke within which a part begins and ends on it
+const ROOM = 0.08 // of the motion, that is seen before and after the part
 const WHOLE = 0.85 // of a stroke: who draws more than this draws the whole motion
 
 export class Redraw {
@@ -32,7 +33,7 @@ export class Redraw {
     page.setTime((weak.from + weak.to) / 2)
     page.focus(view)
     view.frame.focus()
-    view.look(page.motion.ways[0].mean.filter((_, i) => page.motion.times[i] >= weak.from && page.motion.times[i] <= weak.to))
+    view.look(page.motion.ways[0].mean.filter((_, i) => page.motion.times[i] >= weak.from - ROOM && page.motion.times[i] <= weak.to + ROOM))
     page.paint()
     page.say(`Draw the yellow part anew on ${weak.view}: begin and end on a stroke. Or draw the whole motion once more.`)
   }

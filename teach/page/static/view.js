@@ -90,7 +90,7 @@ export class View {
     const seen = points.map(p => project(this.view.camera, p)).filter(Boolean), {clientWidth: w, clientHeight: h} = this.frame
     if (!seen.length) return
     const [low, high] = [Math.min, Math.max].map(f => [0, 1].map(axis => f(...seen.map(p => p[axis]))))
-    const scale = Math.min(w / (3 * (high[0] - low[0]) + 120), h / (3 * (high[1] - low[1]) + 120), 3.5 * this.least)
+    const scale = Math.min(w / (1.6 * (high[0] - low[0]) + 120), h / (1.6 * (high[1] - low[1]) + 120), 3.5 * this.least)
     const bounded = Math.max(scale, this.least)
     this.moveTo(bounded, w / 2 - bounded * (low[0] + high[0]) / 2, h / 2 - bounded * (low[1] + high[1]) / 2)
   }
