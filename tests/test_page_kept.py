@@ -12,7 +12,7 @@ from teach.sketch import load
 
 sys.path.insert(0, str(Path(__file__).parent / "page"))
 pytest.register_assert_rewrite("browsing")
-from browsing import LINE, Server, draw, needs_chromium, saved, until  # noqa: E402
+from browsing import LINE, Server, draw, motion, needs_chromium, saved, until  # noqa: E402
 
 pytest_plugins = ["browsing"]
 pytestmark = needs_chromium
@@ -31,10 +31,33 @@ def test_what_is_exported_is_imported_the_same(visit, tmp_path):
         tab.set_input_files("#file", tmp_path / f"export.{ending}")
         until(tab, f"document.querySelector('#says').textContent.startsWith('export.{ending} is imported')")
         assert json.loads(tab.evaluate("page.document.text()")) == json.loads(before), ending
-    (tmp_path / "bad.json").write_text('{"schema": "x"}')
-    tab.set_input_files("#file", tmp_path / "bad.json")
-    until(tab, "document.querySelector('#says').textContent.includes('cannot be imported')")
-    assert tab.evaluate("page.document.all.length") == 2
+    file = {"schema": "scene2skill.sketches", "version": 1, "sketches": json.loads(before)["sketches"]}
+    camera, stroke = file["sketches"][0]["camera"], file["sketches"][0]["strokes"][0]
+    for bad, words in (({"schema": "x"}, "a file of sketches"), (file | {"sketches": [{"view": "left", "camera": camera | {"K": [[1, 0, 0]]}, "strokes": []}]}, "sketches[0].camera"),
+                       (file | {"sketches": [{"view": "left", "camera": camera, "strokes": [stroke | {"times": [0]}]}]}, "sketches[0].strokes[0]")):  # fmt: skip
+        (tmp_path / "bad.json").write_text(json.dumps(bad))
+        tab.set_input_files("#file", tmp_path / "bad.json")
+        until(tab, f"document.querySelector('#says').textContent.includes('cannot be imported: ') && document.querySelector('#says').textContent.includes('{words}')")
+        assert json.loads(tab.evaluate("page.document.text()")) == json.loads(before)
+
+
+def test_a_skill_is_made_by_keys_alone_and_what_the_one_before_asked_for_is_not_shown_in_it(visit, server):
+    tab = visit("before")
+    draw(tab, 0, motion(0))
+    draw(tab, 1, motion(1))
+    saved(tab)
+    tab.evaluate("page.work.fit(), page.setTool('select')")
+    for name, then in (("a/b", "before"), ("Öffnen (2)", "Öffnen (2)")):
+        tab.keyboard.press("n")
+        tab.wait_for_selector("#prompt[open]")
+        tab.keyboard.type(name)
+        tab.keyboard.press("Enter")
+        tab.wait_for_selector("#prompt:not([open])", state="attached")
+        until(tab, f"page.name === '{then}'")
+    until(tab, "page.tool === 'draw'")
+    tab.wait_for_timeout(500)
+    assert tab.evaluate("page.motion === null && page.document.all.length === 0 && document.querySelector('#busy').hidden")
+    assert "from beginning to end" in tab.inner_text(".frame .hint >> nth=0")
 
 
 def test_of_two_pages_on_one_skill_the_second_writer_is_told_and_nothing_is_lost(visit, server):

@@ -46,7 +46,7 @@ def main() -> None:
             with sync_playwright() as playwright:
                 by_playwright(playwright, address, capture, asked)
             if not asked.pictures:
-                show(asyncio.run(by_real_input(address, capture / "sketches")))
+                asyncio.run(by_real_input(address, capture / "sketches"))
         finally:
             os.killpg(server.pid, signal.SIGKILL)
 
@@ -57,17 +57,23 @@ def by_playwright(playwright, address, capture, asked) -> None:
     wait_warm(browser, address, strokes)
     if asked.pictures:
         return pictures(browser, address, strokes, asked.pictures)
-    show(orbiting(browser, address, asked.repeat))
-    show(loading(browser, address, asked.repeat))
-    show(learning(browser, address, strokes, asked.repeat))
-    show(in_space(browser, address))
+    for part in (
+        lambda: orbiting(browser, address, asked.repeat),
+        lambda: loading(browser, address, asked.repeat),
+        lambda: learning(browser, address, strokes, asked.repeat),
+        lambda: in_space(browser, address),
+    ):
+        began = time.perf_counter()
+        show(part(), began)
     browser.close()
 
 
-def show(rows) -> None:
+def show(rows, began: float) -> None:
+    """Print rows as they come. began [s]: when their measuring did."""
     for row in rows:
         print("{:82} {:>22}   floor {}".format(*row), flush=True)
-    print(f"  load of this machine: {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores", flush=True)
+    load, took = os.getloadavg()[0], time.perf_counter() - began
+    print(f"  in {took:.0f} s, load of this machine: {load:.1f} on {os.cpu_count()} cores", flush=True)
 
 
 def linked(capture: Path, copy: Path) -> Path:
@@ -252,7 +258,9 @@ async def async_opened(browser, address, skill):
 async def by_real_input(address, folder):
     async with async_playwright() as playwright:
         browser = await playwright.chromium.launch(executable_path="/usr/bin/chromium", args=ARGUMENTS)
-        return [*await inking(browser, address), *await many_tabs(browser, address, folder)]
+        for part in (inking(browser, address), many_tabs(browser, address, folder)):
+            began = time.perf_counter()
+            show(await part, began)
 
 
 def learning(browser, address, strokes, repeat):

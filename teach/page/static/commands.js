@@ -1,6 +1,6 @@
 // Every command once: its key, its button, its words. The key list and the menu are made of these.
 
-import {toSVG, fromSVG} from './document.js'
+import {checked, toSVG, fromSVG} from './document.js'
 import {MARKS, colourOf} from './ink.js'
 
 const find = id => document.getElementById(id)
@@ -79,8 +79,7 @@ function download(name, text, type) {
 async function importFile(page, file) {
   try {
     if (file.size > 32 * 2 ** 20) throw new Error('it has more than 32 MB')
-    const text = await file.text(), plain = text.trimStart().startsWith('<') ? fromSVG(text) : JSON.parse(text)
-    if (plain.schema !== 'scene2skill.sketches' || !Array.isArray(plain.sketches)) throw new Error('it does not hold sketches ("schema": "scene2skill.sketches")')
+    const text = await file.text(), plain = checked(text.trimStart().startsWith('<') ? fromSVG(text) : JSON.parse(text))
     page.document.change(`imported ${file.name}`, () => plain.sketches)
     await page.saver.running
     if (page.saver.state === 'refused') { page.document.undo(); return }

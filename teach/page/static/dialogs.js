@@ -24,5 +24,7 @@ export async function confirm(title, words, act) {
 }
 
 function agreed(dialog) {
+  dialog.querySelector('[value=cancel]').onclick = () => dialog.close('cancel') // no submit button: Enter means OK
+  dialog.returnValue = 'cancel'
   return new Promise(done => dialog.addEventListener('close', () => done(dialog.returnValue === 'ok'), {once: true}))
 }

@@ -92,6 +92,22 @@ export class Document {
   }
 }
 
+/** The same file, if it holds what the page can show; the server checks the rest. Throws an Error that names what is wrong. */
+export function checked(file) {
+  const rows = (M, n, count = M?.length) => Array.isArray(M) && M.length === count && count > 0 && M.every(row => Array.isArray(row) && row.length === n && row.every(Number.isFinite))
+  const need = (right, at, what) => { if (!right) throw new Error(`${at} is not ${what}`) }
+  need(file?.schema === 'scene2skill.sketches' && Array.isArray(file.sketches), 'it', 'a file of sketches ("schema": "scene2skill.sketches")')
+  file.sketches.forEach((s, i) => {
+    const {K, world_from_camera: M, width, height} = s?.camera ?? {}
+    need(typeof s?.view === 'string', `sketches[${i}].view`, 'a name')
+    need(rows(K, 3, 3) && rows(M, 4, 4) && width > 0 && height > 0, `sketches[${i}].camera`, 'a camera')
+    need(Array.isArray(s.strokes), `sketches[${i}].strokes`, 'a list')
+    s.strokes.forEach((stroke, k) => need(rows(stroke?.points, 2) && rows(stroke.times?.map?.(t => [t]), 1, stroke.points.length) && Array.isArray(stroke.events ?? []),
+      `sketches[${i}].strokes[${k}]`, 'a stroke with a time for each point'))
+  })
+  return file
+}
+
 /** What was drawn as SVG, one group for each view, in its pixels. colourOf(stroke) -> CSS colour. */
 export function toSVG(document, colourOf) {
   const escape = text => text.replace(/[<>&"]/g, c => `&#${c.charCodeAt(0)};`)

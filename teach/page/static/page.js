@@ -95,6 +95,7 @@ class Page {
     if (this.selected && !this.document.strokes(this.selected.view).includes(this.selected.stroke)) this.select(null)
     if (why !== 'loaded') { this.saver.save(); this.work.changed() }
     if (/^(Undone|Done again)/.test(why)) this.say(`${why}.`)
+    if (why === 'erased a stroke') this.say('Erased a stroke: Ctrl+Z brings it back.')
     this.demonstrations.show()
     this.hand.show()
     this.work.tellApart()

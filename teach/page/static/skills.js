@@ -4,6 +4,7 @@ import {ask, listen, readSkill, skillPath} from './server.js'
 import {confirm, prompt} from './dialogs.js'
 
 const find = id => document.getElementById(id)
+const NAME = /^[\p{L}\p{N}_][\p{L}\p{N}_ .()-]*(?<!\.)$/u // as teach/page/store.py
 
 export class Skills {
   constructor(page) {
@@ -18,6 +19,7 @@ export class Skills {
     this.page.cancel()
     this.name = name
     this.page.selected = null
+    this.page.say('')
     this.page.work.forget()
     const there = await readSkill(name)
     const unsaved = JSON.parse(localStorage.getItem(`unsaved:${name}`) ?? 'null')
@@ -52,7 +54,10 @@ export class Skills {
     for (let i = 2; names.includes(free); i++) free = `${suggested} ${i}`
     const name = await prompt('New skill', 'Its name', free)
     if (name && names.includes(name)) return this.page.say(`There is a skill called ${name} already.`)
-    if (name) await this.open(name)
+    if (!name) return
+    if (!NAME.test(name)) return this.page.say(`${name} cannot be a skill's name: use letters, digits, spaces and . - _ ( ), a letter or digit first.`)
+    await this.open(name)
+    this.page.setTool('draw')
   }
 
   async remove() {

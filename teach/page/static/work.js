@@ -11,6 +11,7 @@ export class Work {
 
   forget() {
     clearTimeout(this.timer)
+    this.stop() // what another skill asked for is not this one's
     this.page.motion = this.page.plan = null
     this.page.stale = this.page.performed = false
     find('video').removeAttribute('src')
