@@ -19,7 +19,7 @@ export class Redraw {
 
   words() {
     const {from, to, view} = this.weak
-    return `Least certain, by a little: ${Math.round(100 * from)} % to ${Math.round(100 * to)} % of the way, best seen on ${view}.`
+    return `Least certain, by a little: ${Math.round(100 * from)} to ${Math.round(100 * to)} %, best seen on ${view}.`
   }
 
   /** Go to the view that sees best what is least known, close up on that part. */
