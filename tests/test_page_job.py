@@ -9,14 +9,16 @@ import sys
 import time
 import urllib.request
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from conf.page import planned
+from conf.page import planned, scene_of
 from robot.planner import Plan
 from scene.camera import Camera, View, look_at
 from scene.dataset import load_cameras, load_views, save_views
+from scene.views import depth_path
 from teach.sketch import Sketch, Stroke, dumps, load
 
 ROOT = Path(__file__).parents[1]
@@ -92,6 +94,19 @@ def test_cameras_are_read_without_their_pictures(capture):
     assert [path.stem for path in cameras] == ["photo0", "photo1", "photo2"]
     for view, (path, camera) in zip(load_views(capture), cameras.items(), strict=True):
         assert path.stem == view.name and np.allclose(camera.projection, view.camera.projection)
+
+
+def test_a_scene_known_from_truth_has_its_views_and_shows_what_their_depth_pictures_see(capture):
+    (capture / "transforms.json").unlink()
+    for k, camera in enumerate(CAMERAS):
+        origin, direction = camera.rays(camera.pixel_centres())
+        far = (0.1 - origin[..., 2]) / direction[..., 2]  # a floor 10 cm up
+        np.save(depth_path(capture / "views", f"view{k}"), np.where(far > 0, far * (direction @ camera.forward), np.nan).astype(np.float32))
+    scene = scene_of(SimpleNamespace(capture=capture))
+    assert list(scene.views) == ["view0", "view1", "view2"] and len(scene.points) == 0 and scene.surfaces == ("view0", "view1", "view2")
+    np.testing.assert_allclose(scene.target, [0, 0, 0.1], atol=1e-6)  # at which all of them look
+    solid = scene.mesh()
+    assert len(solid.faces) > 1000 and np.abs(solid.vertices[:, 2] - 0.1).max() < 1e-3
 
 
 def test_a_plan_is_red_where_it_touches_and_where_it_strays():
