@@ -54,8 +54,9 @@ class Server:
         return [stroke for sketch in load(self.folder / "sketches" / f"{skill}.json") for stroke in sketch.strokes]
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def browser():
+    """Ended after each file: while it runs, no test of this process can run an event loop of its own."""
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as playwright:
