@@ -149,10 +149,11 @@ def quality(report: dict) -> Figure:
     right.set_title("angle between rays [deg]", fontsize=9)
     right.set_ylim(0, 95)
     left.set_ylim(0, None)
+    weak = report["weakest"]
     for axis in (left, right):
         axis.set_xlabel("t")
-        if report["weakest"]["clear"]:
-            axis.axvspan(report["weakest"]["from"], report["weakest"]["to"], color="#ffebe9")
+        if weak and weak.get("clear", True):  # earlier files have a stretch only where it is clear
+            axis.axvspan(weak["from"], weak["to"], color="#ffebe9")
     return figure
 
 
