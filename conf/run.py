@@ -21,10 +21,10 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from conf import rerun
-from conf.mistakes import check_launcher, explained, was_killed
+from conf.mistakes import check_launcher, check_seeds, explained, was_killed
 from conf.results import figures_of
 from conf.stages import Job, status_of, write_json
-from conf.sweep import Sweep, is_finished, settings_key
+from conf.sweep import Sweep, is_finished, kills_of, settings_key
 from scene.inputs import scene_name
 
 log = logging.getLogger("scene2skill")
@@ -88,18 +88,25 @@ def _run_job(task, cfg: DictConfig):
     run_folder, one_of_many = Path(HydraConfig.get().runtime.output_dir), HydraConfig.get().mode == RunMode.MULTIRUN
     job = Job(cfg, capture_folder(cfg), run_folder)
     settings = settings_key(cfg)
+    kills = kills_of(run_folder, settings)
     if one_of_many:
         log.info("job %s: %s", run_folder.name, " ".join(HydraConfig.get().overrides.task))
         if is_finished(run_folder, settings):
             log.info("  finished earlier")
             return _objective(job)
-        if status_of(run_folder).get("state") == "running":
-            log.warning("  was killed when it ran last, perhaps for want of memory: once more")
+        if kills:
+            log.warning("  was killed when it ran last, perhaps for want of memory: %s", "once more" if kills == 1 else "left out, as the time before")
+    elif swept := HydraConfig.get().sweeper.get("params"):
+        log.info("note: experiment=%s sweeps over %s: this is one job of it, -m does all", HydraConfig.get().runtime.choices.experiment,
+                 ", ".join(key.lstrip("+") for key in swept))  # fmt: skip
     status = {"state": "running", "capture": str(job.capture), "settings": settings, "started": time.strftime("%Y-%m-%dT%H:%M:%S")}
-    write_json(run_folder / "status.json", status)
+    write_json(run_folder / "status.json", status | {"kills": kills})
     write_json(run_folder / "provenance.json", provenance())
     started = time.perf_counter()
     try:
+        check_seeds(cfg)
+        if one_of_many and kills > 1:  # a third time would keep the jobs behind it from ever running
+            raise MemoryError(f"it was killed {kills} times while it ran, perhaps for want of memory")
         track = instantiate(cfg.get("tracking"))
         task(job)
         status["state"] = "finished"
@@ -136,7 +143,7 @@ def _objective(job: Job) -> float | None:
 
 
 def _report(error: Exception) -> int:
-    print(f"error: {explained(error)}", file=sys.stderr)
+    print(f"error: {explained(error, sys.argv[1:])}", file=sys.stderr)
     return 2
 
 

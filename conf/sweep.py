@@ -10,15 +10,17 @@ import hashlib
 import json
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from filelock import FileLock, Timeout
 from omegaconf import DictConfig, OmegaConf
 
+from conf.results import JobResult, collect
 from conf.stages import status_of, write_json
 from scene.files import read_json
+
 
 @dataclass(frozen=True)
 class Sweep:
@@ -47,14 +49,13 @@ class Sweep:
     def end(self) -> int:
         """Write the table; the exit code: 0 if every job finished, else 2."""
         from conf import gallery
-        from conf.results import collect
 
         missing, begun = None, json.loads((self.folder / "sweep.json").read_text())
         if any(self.folder.glob("*/status.json")):
             results = collect([self.folder])
             missing = results.missing
-            for job in missing:
-                print(f"job {job.folder.name} {job.state}: {job.error}", file=sys.stderr)
+            for said in _alike(missing):
+                print(said, file=sys.stderr)
             print(gallery.write(results, self.folder))
         write_json(self.folder / "sweep.json", begun | {"state": "finished" if missing == [] else "stopped"})
         self.lock.release()
@@ -71,6 +72,21 @@ def is_finished(run_folder: Path, settings: str) -> bool:
     """Whether the job of this folder came to its end with these settings."""
     status = status_of(run_folder)
     return status.get("state") == "finished" and status.get("settings") == settings
+
+
+def kills_of(run_folder: Path, settings: str) -> int:
+    """How often this job was killed in a row, with these settings."""
+    status = status_of(run_folder)
+    return status.get("kills", 0) + 1 if status.get("state") == "running" and status.get("settings") == settings else 0
+
+
+def _alike(missing: Sequence[JobResult]) -> Iterable[str]:
+    """A line for all jobs that failed alike."""
+    groups: dict[tuple[str, str], list[str]] = {}
+    for job in missing:
+        groups.setdefault((job.state, job.error), []).append(job.folder.name)
+    for (state, error), names in groups.items():
+        yield f"job{'s' * (len(names) > 1)} {', '.join(names)} {state}: {error}"
 
 
 def _chosen(arguments: list[str]) -> Path | None:

@@ -175,7 +175,7 @@ def test_a_scene_that_is_given_to_another_keeps_its_frame(job):
 
 
 def test_a_task_is_done_with_the_scene_known_from_truth(tmp_path):
-    """Without photographs: what is held falls into the cup, as the report says; in another world, where it then stands."""
+    """Without photographs: what is held falls into the cup, as the report says; in another world, where it then stands. Twice the same."""
     quick = ("world=drop_into_cup", "world.seed=3", "scene.truth=true", "robot.planner.samples=4", "robot.execution.fps=2", "data=scene")
     scene2skill(*quick, cwd=tmp_path)
     (run,) = tmp_path.glob("runs/default/*/0")
@@ -185,3 +185,4 @@ def test_a_task_is_done_with_the_scene_known_from_truth(tmp_path):
     page = (run / "report.html").read_text()
     assert "sugar_in_cup_m" in page and (run / "figures" / "filmstrip.png").exists()
     assert [event.name for event in Skill.load(run / "skill.npz").events] == ["gripper_open"]
+    assert re.search(r"agrees with .*: all \d\d figures are equal", scene2skill(f"rerun={run}", cwd=tmp_path)), "the same job twice: the same figures, bit for bit"

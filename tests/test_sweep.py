@@ -54,7 +54,8 @@ def sweeps(folder):
 
 
 def began(folder):
-    return (folder / "began.txt").read_text().split()
+    path = folder / "began.txt"
+    return path.read_text().split() if path.exists() else []
 
 
 def test_a_finished_sweep_has_its_table(launch, tmp_path):
@@ -79,6 +80,16 @@ def test_a_killed_sweep_goes_on_with_what_is_missing(launch, tmp_path):
     assert "was killed when it ran last" in result.stdout and began(tmp_path) == ["0", "1", "2", "2", "3"]
     (sweep,) = sweeps(tmp_path)
     assert "4 of 4 jobs finished" in (sweep / "table.md").read_text()
+    launch("-m", "seed=0,1,2,3", "hydra.sweep.dir=runs/alone")
+    assert (sweep / "table.md").read_text() == (tmp_path / "runs" / "alone" / "table.md").read_text()
+
+
+def test_a_job_that_is_killed_whenever_it_runs_does_not_keep_those_behind_it_from_running(launch, tmp_path):
+    (tmp_path / "kill1").touch()
+    assert [launch("-m", "seed=0,1,2").returncode for _ in range(3)] == [-signal.SIGKILL, -signal.SIGKILL, 2]
+    assert began(tmp_path) == ["0", "1", "1", "2"]
+    (sweep,) = sweeps(tmp_path)
+    assert "Missing: 1 (seed=1): failed, it was killed 2 times" in (sweep / "table.md").read_text()
 
 
 def test_a_failed_job_lets_the_others_go_on_and_is_named(launch, tmp_path):
@@ -94,6 +105,12 @@ def test_a_failed_job_lets_the_others_go_on_and_is_named(launch, tmp_path):
     assert began(tmp_path) == ["0", "1", "2", "1"]
     launch("-m", "seed=0,1,2")
     assert began(tmp_path)[4:] == ["0", "1", "2"]  # a finished sweep begins anew
+
+
+def test_jobs_that_failed_alike_are_named_in_one_line(launch, tmp_path):
+    said = launch("-m", "seed=-1,abc,3", "teach.basis.count=10,20").stderr
+    assert said.splitlines() == [f"jobs {jobs} failed: seed={seed} is no seed: give a whole number from 0 on" for jobs, seed in (("0, 1", -1), ("2, 3", "abc"))]
+    assert began(tmp_path) == ["3", "3"]
 
 
 def test_other_settings_or_another_folder_are_another_sweep(launch, tmp_path):
