@@ -115,8 +115,8 @@ def _wanted(job: Job) -> list[str]:
 def _metrics(records: dict[str, Record]) -> dict:
     """metrics.json: one group for each stage; total_seconds is what all of them cost, when they were done."""
     groups = {"train": "field", "fit": "teach"}
-    memory = lambda record: {} if record.peak_mb is None else {"peak_mb": record.peak_mb}
-    metrics = {groups.get(name, name): {"seconds": r.seconds} | memory(r) | r.metrics for name, r in records.items()}
+    sizes = lambda record: {name: mb for name in ("peak_mb", "disk_mb") if (mb := getattr(record, name)) is not None}
+    metrics = {groups.get(name, name): {"seconds": r.seconds} | sizes(r) | r.metrics for name, r in records.items()}
     return metrics | {"total_seconds": sum(record.seconds for record in records.values())}
 
 

@@ -9,8 +9,8 @@ import yaml
 from conf.results import code_of, figures_of
 from conf.stages import status_of
 
-TIMES = ("seconds", "render_seconds", "total_seconds", "peak_mb")
-"""Figures that no two runs share: of time and memory."""
+TIMES = ("seconds", "render_seconds", "total_seconds", "peak_mb", "disk_mb")
+"""Figures that no two runs share: of time, memory and disk."""
 
 
 def expanded(arguments: list[str]) -> list[str]:

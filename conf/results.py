@@ -12,6 +12,7 @@ signed-rank test. How an experiment is read stands in its YAML:
     published name of a row: {value of ``across``: text}, what others reported
     pictures  of a job's figures/, shown in the sweep's page
     growth    true: figures over a setting of numbers are fitted by a power of it (growth.py)
+    on_paper  {of, times, at, seconds, memory, disk}: what many of these need by that fit (growth.py)
 """
 
 import hashlib
@@ -58,6 +59,7 @@ class Results:
     across: tuple[str, ...] = ()
     published: dict[str, dict[str, str]] = field(default_factory=dict)
     growth: bool = False
+    on_paper: dict | None = None
     pictures: tuple[str, ...] = ("overview",)
 
     @property
@@ -108,7 +110,7 @@ def collect(folders: Sequence[Path]) -> Results:
 def read_by(spec: dict, jobs: tuple[JobResult, ...], measured: set[str]) -> Results:
     """The jobs as an experiment's ``spec`` says, with the columns of which something is measured."""
     columns = {name: (path, float(factor)) for name, (path, factor) in spec["columns"].items() if path in measured}
-    more = {"across": tuple(spec.get("across", ())), "published": spec.get("published", {}), "growth": spec.get("growth", False),
+    more = {"across": tuple(spec.get("across", ())), "published": spec.get("published", {}), "growth": spec.get("growth", False), "on_paper": spec.get("on_paper"),
             "pictures": tuple(spec.get("pictures", ["overview"]))}  # fmt: skip
     return Results(jobs, tuple(spec["over"]), columns, spec["rows"], **more)
 

@@ -38,7 +38,8 @@ class Page:
 def roles(views: list[str], judge: str | None) -> tuple[list[str], list[str]]:
     """Names of the views that teach, and of the one that judges (none where ``judge`` is None)."""
     if judge is not None and judge not in views:
-        raise ValueError(f"user.held_out={judge}: user.views, which are drawn on, are {', '.join(views)}")
+        raise ValueError(f"user.held_out={judge} is none of the views that are drawn on, {', '.join(views)}: name one of them, or say user.held_out=null, "
+                         "and none judges")  # fmt: skip
     return [name for name in views if name != judge], [name for name in views if name == judge]
 
 

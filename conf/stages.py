@@ -63,12 +63,13 @@ class Stage:
 
 @dataclass(frozen=True)
 class Record:
-    """What is kept of a finished stage. peak_mb: the most memory that its process had then."""
+    """What is kept of a finished stage. peak_mb: the most memory that its process had then; disk_mb: what it wrote."""
 
     hash: str
     metrics: dict
     seconds: float
     peak_mb: float | None = None
+    disk_mb: float | None = None
     reused: bool = True
 
 
@@ -103,12 +104,13 @@ def _build(stage: Stage, job: Job, key: str) -> Record:
     seconds = time.perf_counter() - started
     peak = _peak_mb()
     (keep / f"{stage.name}.json").unlink(missing_ok=True)
+    disk = sum(_size_mb(partial / output) for output in stage.outputs)
     for output in stage.outputs:
         _move(partial / output, stage.folder(job) / output)
     shutil.rmtree(partial)
-    record = {"hash": key, "metrics": metrics, "seconds": seconds, "peak_mb": peak, "settings": {k: job.settings(k) for k in stage.settings}}
-    write_json(keep / f"{stage.name}.json", record)
-    return Record(key, metrics, seconds, peak, reused=False)
+    record = {"hash": key, "metrics": metrics, "seconds": seconds, "peak_mb": peak, "disk_mb": disk}
+    write_json(keep / f"{stage.name}.json", record | {"settings": {k: job.settings(k) for k in stage.settings}})
+    return Record(key, metrics, seconds, peak, disk, reused=False)
 
 
 def _forget_peak() -> None:
@@ -143,7 +145,7 @@ def find(stage: Stage, folder: Path) -> Record | None:
     if not path.exists() or not all((folder / output).exists() for output in stage.outputs):
         return None
     record = json.loads(path.read_text())
-    return Record(record["hash"], record["metrics"], record["seconds"], record.get("peak_mb"))
+    return Record(record["hash"], record["metrics"], record["seconds"], record.get("peak_mb"), record.get("disk_mb"))
 
 
 def adopt(stage: Stage, job: Job, wanted: Callable[[str, Record], bool]) -> Record | None:
@@ -151,11 +153,11 @@ def adopt(stage: Stage, job: Job, wanted: Callable[[str, Record], bool]) -> Reco
 
     ``wanted(state, record)`` is asked with the state of that run. Its files are copied: a run folder is whole.
     """
-    experiment = job.run.parent.parent
-    earlier = sorted(experiment.glob("*/*/status.json"), key=lambda path: path.stat().st_mtime, reverse=True)
+    others = (folder for folder in job.run.parents[1].iterdir() if folder != job.run.parent)  # a sweep of many jobs does not look through itself
+    earlier = sorted((path for folder in others for path in folder.glob("*/status.json")), key=lambda path: path.stat().st_mtime, reverse=True)
     for path in earlier:
         status = status_of(path.parent)
-        if path.parent == job.run or status.get("capture") != str(job.capture) or (record := find(stage, path.parent)) is None:
+        if status.get("capture") != str(job.capture) or (record := find(stage, path.parent)) is None:
             continue
         if wanted(status["state"], record):
             return take(stage, path.parent, job)
@@ -214,6 +216,10 @@ def write_json(path: Path, value) -> None:
     """Write whole or not at all."""
     with replacing(path) as temporary:
         temporary.write_text(json.dumps(value, indent=1, default=float) + "\n", encoding="utf-8")
+
+
+def _size_mb(path: Path) -> float:
+    return sum(one.stat().st_size for one in ([path] if path.is_file() else path.rglob("*"))) / 2**20
 
 
 def _move(source: Path, target: Path) -> None:

@@ -6,6 +6,8 @@ Things move along the world's axes, redrawn until they are free of contact (with
 the published cans sink into their boards). The goal's thing takes the intended motion
 with it: the via points by their share in ``motion.follow`` (the first, where the hand starts, by none; the others, where
 nothing is said, by all). Seed 0 is the world as published; what ``stays`` stands with the robot.
+
+    crowd: {count, lower, upper [m], size [m], clear [m]}     fixed cubes anywhere in a box, ``clear`` of the straight lines between via points
 """
 
 import copy
@@ -24,6 +26,7 @@ def varied(data: dict) -> dict:
     data = copy.deepcopy(data)
     if (data.get("motion") or {}).get("letter"):
         data["motion"]["via"] += on_board(data["motion"]["letter"], data["motion"]["at"], data["motion"]["size"]).tolist()
+    data["objects"] += _crowd(data)
     variation = data.get("variation") or {}
     if not data.get("seed") or not variation:
         return data
@@ -32,6 +35,32 @@ def varied(data: dict) -> dict:
     yaw = rng.uniform(-1, 1) * variation.get("yaw_deg", 0)
     _move_things(data, variation.get("things") or {}, rng)
     return _turned(data, shift, yaw, variation.get("stays", []))
+
+
+def _crowd(data: dict) -> list[dict]:
+    """The cubes of ``crowd``: the first of more are those of fewer."""
+    crowd = data.get("crowd") or {"count": 0}
+    rng = np.random.default_rng([data.get("seed", 0), 1])
+    via = np.array((data.get("motion") or {}).get("via", []), dtype=float).reshape(-1, 3)
+    cubes: list[dict] = []
+    for _ in range(REDRAWS * crowd["count"]):
+        if len(cubes) == crowd["count"]:
+            break
+        centre, yaw = rng.uniform(crowd["lower"], crowd["upper"]), rng.uniform(0, 90)
+        if _distance(centre, via) > crowd["clear"] + crowd["size"] * np.sqrt(3) / 2:
+            cubes.append({"name": f"crowd{len(cubes)}", "shape": "box", "size": [crowd["size"]] * 3, "position": centre.tolist(), "rpy_deg": [0, 0, float(yaw)]})
+    if len(cubes) < crowd["count"]:
+        raise ValueError(f"world {data['name']}: {crowd['count']} cubes found no place clear of the motion; make crowd's box larger, or clear smaller")
+    return cubes
+
+
+def _distance(point, via: np.ndarray) -> float:
+    """From a point (3,) to the straight lines between via points (n, 3) [m]; inf where there are none."""
+    if len(via) < 2:
+        return np.inf
+    start, along = via[:-1], np.diff(via, axis=0)
+    share = np.clip(((point - start) * along).sum(1) / np.maximum((along**2).sum(1), 1e-12), 0, 1)
+    return float(np.linalg.norm(start + share[:, None] * along - point, axis=1).min())
 
 
 def _move_things(data: dict, ranges: dict, rng) -> None:

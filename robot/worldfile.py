@@ -16,6 +16,7 @@
     goal: {object, approach, distance}             the tip ends ``distance`` [m] before the object's centre along ``approach``
     success: {...}                   when the motion counts as done (conditions.py)
     variation: {shift [m], yaw_deg, things, stays} half ranges (variation.py)
+    crowd: {count, lower, upper, size, clear}      so many cubes more, in a box, off the motion [m] (variation.py)
     mount: name                      the object that an arm stands on, "pedestal" if left out; a robot with legs does without (mounting.py)
     stand: [x, y, yaw]               where the trunk of a robot with legs stands [m, deg]
     film: {eye, target, fov_deg}     where the performance is filmed from (optional)
@@ -38,13 +39,14 @@ from scene.files import read_yaml
 
 JOINTS = ("prismatic", "revolute")
 KEYS = {"name", "seed", "objects", "joints", "held", "touch", "tags", "workspace", "view", "sketch_views", "motion", "goal", "success",
-        "variation", "film", "mount", "stand"}  # fmt: skip
+        "variation", "crowd", "film", "mount", "stand"}  # fmt: skip
 INSIDE = {
     "view": {"target", "radius", "elevation_deg", "azimuth_deg"},
     "workspace": {"lower", "upper"},
     "motion": {"via", "events", "follow", "orientation", "letter", "at", "size", "right"},
     "goal": {"object", "approach", "distance"},
     "variation": {"shift", "yaw_deg", "things", "stays"},
+    "crowd": {"count", "lower", "upper", "size", "clear"},
     "film": {"eye", "target", "fov_deg"},
 }
 JOINT_KEYS = {"name", "parent", "child", "type", "axis", "lower", "upper", "at", "friction"}
@@ -77,7 +79,7 @@ def check(data: dict) -> None:
     if len(joints) < len(data.get("joints", [])):
         raise ValueError(f"{where}: two joints have one name")
     _check_tags(mappings(data, "tags", where), where)
-    for key in ("view", "workspace", "motion", "goal", "success", "film", "variation"):
+    for key in ("view", "workspace", "motion", "goal", "success", "film", "variation", "crowd"):
         if data.get(key) is not None and not isinstance(data[key], dict):
             raise ValueError(f"{where}: {key} must be a mapping, not {data[key]!r}")
         known(map(str, data.get(key) or {}), INSIDE.get(key, data.get(key) or {}), f"{where}, {key}")
@@ -87,6 +89,8 @@ def check(data: dict) -> None:
         _check_goal(data["goal"], {one["name"] for one in data["objects"]}, where)
     conditions.check(data, bodies, joints, where)
     _check_variation(data, where)
+    if data.get("crowd"):
+        _check_crowd(data["crowd"], f"{where}, crowd")
 
 
 def _check_objects(data: dict, where: str) -> set[str]:
@@ -193,6 +197,18 @@ def _check_view(view: dict, where: str) -> None:
         raise ValueError(f"{where}: eye and target are the same point")
     if not 0 < vector(view, "fov_deg", 1, where)[0] < 180:
         raise ValueError(f"{where}: fov_deg must lie between 0 and 180, not {view['fov_deg']!r}")
+
+
+def _check_crowd(crowd: dict, where: str) -> None:
+    count = crowd.get("count")
+    if not isinstance(count, int) or isinstance(count, bool) or count < 0:
+        raise ValueError(f"{where}: count must be a whole number from 0 on, not {count!r}")
+    lower, upper = (vector(crowd, side, 3, where) for side in ("lower", "upper"))
+    if not all(a <= b for a, b in zip(lower, upper, strict=True)):
+        raise ValueError(f"{where}: lower {lower} lies above upper {upper}")
+    positive(crowd, "size", 1, where)
+    if vector(crowd, "clear", 1, where)[0] < 0:
+        raise ValueError(f"{where}: clear must not be negative, not {crowd['clear']!r}")
 
 
 def _check_variation(data: dict, where: str) -> None:

@@ -56,6 +56,18 @@ def test_the_command_works_beside_a_foreign_conf_folder(tmp_path):
     assert "scene:" in scene2skill("--cfg", "job", cwd=tmp_path).stdout
 
 
+def test_a_world_of_ones_own_is_a_file_in_a_folder_of_ones_own(tmp_path):
+    (tmp_path / "mine" / "world").mkdir(parents=True)
+    world = {"name": "bench", "objects": [{"name": "top", "shape": "box", "size": [0.6, 1.0, 0.04], "position": [0.6, 0.0, 0.1]}],
+             "sketch_views": [{"eye": [0.2, -0.75, 1.05], "target": [0.5, 0.0, 0.28], "fov_deg": 50}, {"eye": [0.4, 0.85, 1.0], "target": [0.5, 0.0, 0.28], "fov_deg": 50}],
+             "motion": {"via": [[0.307, 0.0, 0.485], [0.44, 0.04, 0.46], [0.52, 0.06, 0.36], [0.55, 0.05, 0.24]]}}  # fmt: skip
+    (tmp_path / "mine" / "world" / "bench.yaml").write_text(json.dumps(world))
+    own = ("--config-dir", "mine", "world=bench", "scene.truth=true", "stages=[render,sketch]")
+    refused(scene2skill(*own, cwd=tmp_path), "view1, view2", "say user.held_out=null")
+    assert scene2skill(*own, "user.held_out=null", cwd=tmp_path).returncode == 0
+    assert len(list((tmp_path / "data").glob("bench*/views/view*.png"))) == 2
+
+
 def test_an_unknown_world_names_the_known_ones(tmp_path):
     refused(scene2skill("world=tabel", cwd=tmp_path), "there is no world=tabel: did you mean table?")
 

@@ -138,6 +138,16 @@ def test_growth_is_told_of_the_setting_of_numbers_where_it_is_asked_for(tmp_path
     assert list(growth.said(collect([tmp_path]))) == ["fit, s grows as user.strokes^2.00 (± 0.00): 0.5 at 1, 32 at 8"]
 
 
+def test_what_many_need_is_the_fit_times_their_number(tmp_path):
+    spec = SPEC | {"columns": {"fit, s": ["teach.seconds", 1], "fit, MB": ["teach.peak_mb", 1], "disk": ["teach.disk_mb", 1]}, "growth": True,
+                   "on_paper": {"of": "a thousand skills", "times": 1000, "at": 4, "seconds": ["fit, s", "plan, s"], "memory": ["fit, MB"], "disk": ["disk"]}}  # fmt: skip
+    for i, strokes in enumerate((1, 2, 8)):
+        job(tmp_path, i, [f"user.strokes={strokes}"], {"teach": {"seconds": 3.6 * strokes**2, "peak_mb": 1024, "disk_mb": 0.512 * strokes}}, spec=spec)
+    *_, said = growth.said(collect([tmp_path]))
+    assert "a thousand skills need 16 hours of this machine" in said and "2 GB of disk and 1 GB of memory" in said
+    assert "over user.strokes from 1 to 8, times 1,000" in said and "outside" not in said
+
+
 SHORT = SPEC | {"columns": {"MFD": ["teach.mfd", 100], "WD": ["teach.wd", 100]}, "rows": {"learned": "", "oracle": "oracle_"}, "across": ["world"],
                 "published": {"the paper": {"box": "3.9 / 2.9"}}}  # fmt: skip
 
