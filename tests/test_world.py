@@ -3,6 +3,7 @@
 import copy
 import hashlib
 import json
+from itertools import pairwise, product
 from pathlib import Path
 
 import cv2
@@ -15,6 +16,7 @@ from robot import worldfile
 from robot.photographs import hemisphere, sketch_views
 from robot.shapes import body_pieces
 from robot.standing import free
+from robot.thing import placed
 from robot.variation import pre_grasp, varied
 from robot.world import World
 from scene.camera import Camera, look_at
@@ -405,6 +407,9 @@ def test_whatever_else_is_wrong_in_a_file_is_one_clear_error(change):
     ({"objects": [CABINET, DRAWER], "joints": [{k: v for k, v in SLIDE.items() if k != "upper"}]}, "joint slide: upper must be 1 finite"),
     ({"objects": [CABINET, DRAWER], "joints": [SLIDE | {"lower": 0.1}]}, "joint slide: limits must lie around 0"),
     ({"objects": [CABINET, DRAWER | {"mass": 0}], "joints": [SLIDE]}, "joint slide: its parent must be fixed"),
+    ({"crowd": {"count": -1}}, "crowd: count must be a whole number from 0 on, not -1"),
+    ({"crowd": {"count": 1, "lower": [0, 0, 1], "upper": [1, 1, 0], "size": 0.1, "clear": 0}}, "crowd: lower .* lies above upper"),
+    ({"crowd": {"count": 1, "lower": [0, 0, 0], "upper": [1, 1, 1], "size": 0, "clear": 0}}, "crowd: size must"),
     ({"view": {"target": [0, 0, 0], "azimut_deg": [0, 1]}}, "view: unknown azimut_deg; did you mean azimuth_deg"),
 ])  # fmt: skip
 def test_a_task_that_cannot_be_is_one_clear_error_with_what_comes_near(change, message):
@@ -433,6 +438,18 @@ def test_where_nothing_stands_free_it_is_said():
     spec = PLAIN | {"objects": [MARKER | {"position": [0, 0, 0]}, *walls], "seed": 1, "variation": {"things": {"marker": [0, 1000, 0]}}}
     with pytest.raises(ValueError, match="marker never stood free"):
         varied(spec)
+
+
+def test_a_crowd_stands_clear_of_the_motion_and_grows_by_more_of_the_same():
+    spec = worldfile.read("tiny") | {"crowd": {"count": 8, "lower": [0.2, -0.9, 0], "upper": [1.2, 0.9, 1.2], "size": 0.04, "clear": 0.3}}
+    worldfile.check(spec)
+    few, more = ([one for one in varied(spec | {"crowd": spec["crowd"] | {"count": n}})["objects"] if one["name"].startswith("crowd")] for n in (8, 40))
+    assert len(more) == 40 and few == more[:8]
+    path = np.concatenate([np.linspace(a, b, 100) for a, b in pairwise(spec["motion"]["via"])])
+    corners = np.array([placed(cube["position"], cube["rpy_deg"]) @ [*np.multiply(sign, 0.02), 1] for cube in more for sign in product((-1, 1), repeat=3)])[:, :3]
+    assert np.linalg.norm(corners[:, None] - path, axis=2).min() > 0.3
+    with pytest.raises(ValueError, match="found no place clear of the motion"):
+        varied(spec | {"crowd": spec["crowd"] | {"clear": 5.0}})
 
 
 def test_a_world_without_a_task_varies_too():
