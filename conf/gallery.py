@@ -59,7 +59,8 @@ def _page(results: Results, folder: Path) -> str:
         "<ul>" + "".join(f"<li>{html.escape(note)}" for note in results.notes) + "</ul>",
     ]
     if results.rows:
-        parts += [_table(results), _list("Growth", growth.said(results)), _list("Compared in pairs", comparisons(results))]
+        parts += [_table(*short.cells(results))] if results.across else []
+        parts += [_table(*cells(results)), _list("Growth", growth.said(results)), _list("Compared in pairs", comparisons(results))]
         for path in plots(results, folder / "plots"):
             parts.append(f'<figure><img alt="{html.escape(path.stem)}" src="data:image/png;base64,{base64.b64encode(path.read_bytes()).decode()}"></figure>')
     parts += ["<h2>Jobs</h2><ul class=jobs>", *[_job(results, job, folder) for job in results.jobs], f"</ul><script>{SORTS}</script></body></html>"]
@@ -119,8 +120,7 @@ def _list(title: str, sentences) -> str:
     return f"<h2>{title}</h2><ul>{lines}</ul>" if lines else ""
 
 
-def _table(results: Results) -> str:
-    head, body = cells(results)
+def _table(head: list[str], body: list[list[str]]) -> str:
     titles = "".join(f"<th><button>{html.escape(title)}</button>" for title in head)
     lines = "".join("<tr>" + "".join(f"<td>{html.escape(cell)}" for cell in line) for line in body)
     return f"<div class=wide><table><thead><tr>{titles}</thead><tbody>{lines}</tbody></table></div>"
@@ -131,7 +131,8 @@ def _job(results: Results, job: JobResult, folder: Path) -> str:
     where = html.escape(os.path.relpath(job.folder, folder))
     there = [name for name in results.pictures if (job.folder / "figures" / f"{name}.png").exists()]
     shown = "".join(f'<img loading=lazy alt="{html.escape(name)}, {said}" src="{where}/figures/{html.escape(name)}.png">' for name in there)
-    link = f'<a href="{where}/report.html">{said}</a>' if (job.folder / "report.html").exists() else said
+    page = "report.html" if (job.folder / "report.html").exists() else ""
+    link = f'<a href="{where}/{page}">{said}</a>'
     failed = "" if job.state == "finished" else f"<p class=failed>{html.escape(job.state)}: {html.escape(job.error)}"
     return f"<li>{shown}<p>{link}</p>{failed}"
 

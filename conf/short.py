@@ -18,21 +18,31 @@ from scene.files import read_json, replacing
 
 
 def markdown(results: Results) -> str:
-    """The table, one line for each method, and one for what others published."""
-    sides = list(dict.fromkeys(_side(results, row) for row in results.rows))
+    """The table as text."""
+    head, body = cells(results)
+    return "\n".join("| " + " | ".join(line) + " |" for line in (head, ["---"] * len(head), *body))
+
+
+def cells(results: Results) -> tuple[list[str], list[list[str]]]:
+    """Head and lines of the table: one line for each method, and one for what others published."""
+    sides = {_side(results, row): _across(results, row) for row in results.rows}
     lines: dict[str, dict[str, str]] = {}
     for row in results.rows:
         cell = lines.setdefault(_title(results, row), {})
         cell.setdefault(_side(results, row), _figures(row))
-    lines |= {title: {side: _published(cells, side) for side in sides} for title, cells in results.published.items()}
-    head = [" / ".join(results.columns), *sides]
-    body = [[title, *(cells.get(side, "") for side in sides)] for title, cells in lines.items()]
-    return "\n".join("| " + " | ".join(line) + " |" for line in (head, ["---"] * len(head), *body))
+    lines |= {title: {side: _published(found, values) for side, values in sides.items()} for title, found in results.published.items()}
+    return [" / ".join(results.columns), *sides], [[title, *(found.get(side, "") for side in sides)] for title, found in lines.items()]
 
 
-def _published(cells: dict[str, str], side: str) -> str:
-    """What was published of a side; of one that leaves something open, the first that fits."""
-    return next((text for key, text in cells.items() if set(side.split(", ")) <= set(key.split(", "))), "")
+def _published(found: dict[str, str], values: set[str]) -> str:
+    """What was published of a side with these values of ``across``; where they leave something open, the first that fits."""
+    return next((text for key, text in found.items() if values <= set(key.split(", "))), "")
+
+
+def _across(results: Results, row: Row) -> set[str]:
+    """The row's values of ``across``, those too in which no job differs."""
+    settings = results.jobs[0].settings | row.settings
+    return {settings[key] for key in results.across if key in settings}
 
 
 def _side(results: Results, row: Row) -> str:
@@ -59,7 +69,7 @@ def keep(results: Results, path: Path) -> None:
     needed = {variant(column, prefix) for column, _ in results.columns.values() for prefix in (results.methods or {"": ""}).values()}
     jobs = [
         {
-            "settings": {key: job.settings[key] for key in results.varied if key in job.settings},
+            "settings": {key: job.settings[key] for key in dict.fromkeys((*results.varied, *results.across)) if key in job.settings},
             "figures": {name: float(f"{job.figures[name]:.5g}") for name in sorted(needed) if np.isfinite(job.figures.get(name, np.nan))},
             "code": job.code,
             "sketches": job.sketches and job.sketches[:16],

@@ -167,6 +167,18 @@ def test_in_the_short_form_worlds_stand_side_by_side(tmp_path):
     assert [line.split("|")[1].strip() for line in lines[2:]] == ["default, learned", "oracle", "paper, learned", "the paper"]
 
 
+def test_what_was_published_stands_beside_the_world_that_was_swept_alone(tmp_path):
+    spec = SHORT | {"published": {"the paper": {"table": "3.1 / 2.6", "box": "3.9 / 2.9"}}}
+    for seed in (0, 1):
+        job(tmp_path / "runs", seed, ["world=box", f"seed={seed}"], {"teach": {"mfd": 0.02, "wd": 0.02}}, spec=spec)
+    results = collect([tmp_path / "runs"])
+    assert short.markdown(results).splitlines()[-1] == "| the paper | 3.9 / 2.9 |"
+    short.keep(results, tmp_path / "kept.json")
+    assert short.markdown(short.kept(tmp_path / "kept.json")) == short.markdown(results)
+    page = gallery.write(results, tmp_path / "runs").read_text()
+    assert "<td>the paper<td>3.9 / 2.9" in page and 'href="1/"' in page
+
+
 def test_what_is_kept_makes_the_same_table_in_the_readme(tmp_path):
     results = swept(tmp_path / "runs")
     short.keep(results, tmp_path / "docs" / "table1.json")
