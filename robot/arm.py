@@ -360,7 +360,7 @@ def _gripper(given, description, arm_joints, file) -> Gripper:
 
 
 def _vector(given, otherwise, count, what) -> np.ndarray:
-    values = np.array(otherwise if given is None else given, dtype=float)
+    values = np.atleast_1d(np.array(otherwise if given is None else given, dtype=float))
     if values.shape != (count,) or np.isnan(values).any():
         raise ValueError(f"{what} must be {count} numbers, one for each joint; got {values.tolist()}")
     values.setflags(write=False)

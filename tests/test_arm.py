@@ -229,7 +229,7 @@ def test_a_missing_urdf_tip_or_mesh_is_said(tmp_path):
 def test_an_arm_of_ones_own_is_a_short_file(tmp_path):
     write_urdf(tmp_path, *map(LINK.format, "abc"), HINGE.format("j", "a", "b", -1), HINGE.format("k", "b", "c", -1))
     file = tmp_path / "mine.yaml"
-    file.write_text("urdf: arm.urdf\ntip_link: b\nhome: [0.5]\ngripper: {joints: [k], open: [0.3], closed: [-0.1]}\n")
+    file.write_text("urdf: arm.urdf\ntip_link: b\nhome: [0.5]\ngripper: {joints: [k], open: [0.3], closed: -0.1}\n")
     arm = Arm.load(file)
     assert arm.joint_names == ("j",) and arm.tip_link == "b" and arm.home == 0.5
     assert arm.gripper.joints == ("k",) and arm.gripper.open == 0.3 and arm.gripper.closed == -0.1

@@ -29,6 +29,14 @@ def test_names_that_there_are_not_are_told_with_those_that_were_perhaps_meant(ar
     assert found.startswith(said) and "\n" not in found
 
 
+def test_what_a_part_says_of_its_settings_is_said_without_hydras_frame():
+    from hydra.utils import instantiate
+
+    with pytest.raises(Exception) as caught:
+        instantiate({"_target_": "robot.arm.Arm.load", "name_or_path": "nope.yaml"})
+    assert explained(caught.value) == "no arm file nope.yaml"
+
+
 @pytest.mark.parametrize("choice, extra", [("hydra/launcher=ray", "ray"), ("hydra/launcher=submitit_slurm", "slurm"), ("hydra/sweeper=optuna", "optuna")])
 def test_a_launcher_that_is_not_installed_says_what_to_install(choice, extra):
     from hydra.errors import MissingConfigException
