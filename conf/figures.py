@@ -91,16 +91,20 @@ def trajectories_3d(mean, samples, points, colours, performed=None, regions=()) 
     return figure
 
 
-def overlay(pages) -> Figure:
-    """Samples and mean seen by each view, over the strokes drawn there. pages: (title, image, mean, samples, strokes)."""
+def overlay(pages, performed) -> Figure:
+    """Samples, mean and the performed path seen by each view, over the strokes drawn there. pages: (title, image, mean, samples, strokes);
+    performed: (T, 2) [px] of each view, nothing where nothing was performed."""
     figure, axes = _row(len(pages))
-    for axis, (title, image, mean, samples, strokes) in zip(axes, pages):
+    for axis, (title, image, mean, samples, strokes), path in zip(axes, pages, performed or [None] * len(pages)):
         _picture(axis, image, title)
         for stroke in strokes:
             axis.plot(*stroke.T, color="white", linewidth=1.0, linestyle=":")
         for sample in samples:
             axis.plot(*sample.T, color=INK, linewidth=0.8, alpha=0.6)
         axis.scatter(*mean.T, c=np.linspace(0, 1, len(mean)), cmap=TIME_COLOURS, s=6)
+        if path is not None:
+            axis.plot(*path.T, color="white", linewidth=3.2)
+            axis.plot(*path.T, color="black", linewidth=1.6)
     return figure
 
 

@@ -159,6 +159,8 @@ def _learned(page: _Page, metrics: dict) -> list[str]:
     samples = np.concatenate([way.distribution.sample(n, TIMES, rng) for way, n in zip(skill.ways, counts, strict=True)])
     drawn = _drawn(page)
     pages = [(t, image, c.project(mean), c.project(samples), strokes) for t, image, c, strokes, _ in drawn]
+    performed = _performed_path(page)
+    seen = [] if performed is None else [c.project(performed) for _, _, c, *_ in drawn]
     sketched = [(t, image, strokes, outlines) for t, image, _, strokes, outlines in drawn[:2]]
     started = conditioned.sample(SHOWN_SAMPLES, TIMES, rng)
     variance = np.einsum("tii->ti", conditioned.covariance_at(TIMES))
@@ -168,9 +170,10 @@ def _learned(page: _Page, metrics: dict) -> list[str]:
     return parts + [
         page.picture("overview", figures.overview(sketched, pages[-1], _last_frame(page)),
                      "Sketched on two views, learned, performed."),
-        page.picture("trajectories", figures.trajectories_3d(mean, samples, *_points(page), _performed_path(page), edges),
+        page.picture("trajectories", figures.trajectories_3d(mean, samples, *_points(page), performed, edges),
                      "Samples (red) and mean (coloured by time) in the scene." + (" Blue: regions to keep out of." if edges else "")),
-        page.picture("overlay", figures.overlay(pages), "Samples and mean seen by each view; dotted: the strokes."),
+        page.picture("overlay", figures.overlay(pages, seen), "Samples (red) and mean (coloured by time) seen by each view; dotted: the strokes"
+                     + ("; black: the performed path." if seen else ".")),
         page.picture("over_time", figures.over_time(TIMES, conditioned.mean_at(TIMES), deviation, started),
                      "Position over normalised time, conditioned to start at the hand (square), with two standard deviations."),
     ]  # fmt: skip
