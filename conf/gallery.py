@@ -28,7 +28,8 @@ body { max-width: 96rem } th button { all: unset; cursor: pointer; font-weight: 
 th[aria-sort=ascending] button::after { content: ' \\25B2' } th[aria-sort=descending] button::after { content: ' \\25BC' }
 ul.jobs { list-style: none; padding: 0; display: grid; grid-template-columns: repeat(auto-fill, minmax(20rem, 1fr)); gap: 1.5rem }
 ul.jobs li { border-top: 1px solid var(--line); padding-top: .4rem } .failed { color: var(--bad) }
-div.wide { overflow-x: auto }
+div.wide { overflow-x: auto; margin: 1rem 0 } div.wide td { white-space: nowrap }
+div.plots { display: grid; grid-template-columns: repeat(auto-fill, minmax(min(30rem, 100%), 1fr)); gap: 0 1.5rem }
 """
 
 
@@ -61,10 +62,13 @@ def _page(results: Results, folder: Path) -> str:
     if results.rows:
         parts += [_table(*short.cells(results))] if results.across else []
         parts += [_table(*cells(results)), _list("Growth", growth.said(results)), _list("Compared in pairs", comparisons(results))]
-        for path in plots(results, folder / "plots"):
-            parts.append(f'<figure><img alt="{html.escape(path.stem)}" src="data:image/png;base64,{base64.b64encode(path.read_bytes()).decode()}"></figure>')
+        parts += ["<div class=plots>", *map(_plot, plots(results, folder / "plots")), "</div>"]
     parts += ["<h2>Jobs</h2><ul class=jobs>", *[_job(results, job, folder) for job in results.jobs], f"</ul><script>{SORTS}</script></body></html>"]
     return "\n".join(parts)
+
+
+def _plot(path: Path) -> str:
+    return f'<figure><img alt="{html.escape(path.stem)}" src="data:image/png;base64,{base64.b64encode(path.read_bytes()).decode()}"></figure>'
 
 
 def plots(results: Results, folder: Path) -> list[Path]:

@@ -90,7 +90,8 @@ class Results:
         """What a reader must know of the figures."""
         finished = len(self.jobs) - len(self.missing)
         notes = [f"{finished} of {len(self.jobs)} jobs finished."]
-        notes += [f"Missing: {job.folder.name} ({said(job.settings)}): {job.state}, {job.error}" for job in self.missing]
+        which = lambda job: said({key: job.settings[key] for key in self.varied if key in job.settings})
+        notes += [f"Missing: {job.folder.name} ({which(job)}): {job.state}, {job.error}" for job in self.missing]
         codes = {job.code for job in self.jobs}
         notes += [f"These jobs ran {len(codes)} versions of the code: {', '.join(sorted(str(c)[:10] for c in codes))}."] if len(codes) > 1 else []
         holes = {name: sum(int(np.isnan(row.values[:, i]).sum()) for row in self.rows) for i, name in enumerate(self.columns)}

@@ -23,7 +23,7 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"error: {error}", file=sys.stderr)
         return 2
     print(gallery.table_of(results))
-    print(gallery.write(results, asked.folders[0]))
+    print(gallery.write(results, asked.folders[0].resolve()))
     if asked.keep:
         short.keep(results, Path("docs", "results", f"{asked.keep}.json"))
         print(short.markdown(results))
