@@ -113,6 +113,10 @@ def test_jobs_that_failed_alike_are_named_in_one_line(launch, tmp_path):
     assert began(tmp_path) == ["3", "3"]
 
 
+def test_one_job_of_an_experiment_says_that_there_are_more(launch):
+    assert "experiment=letters sweeps over world.motion.letter, seed: this is one job of it" in launch("experiment=letters").stdout
+
+
 def test_other_settings_or_another_folder_are_another_sweep(launch, tmp_path):
     (tmp_path / "fail1").touch()
     launch("-m", "seed=0,1")
