@@ -2,7 +2,7 @@
 
 A row of the table is a configuration: the settings that differ between jobs, without those of ``experiment.over``,
 which repeat it (seeds). Its figures are mean, standard deviation over repetitions, their number and a 95 % confidence
-interval of the mean (Student's t). Rows that saw the same sketches (equal files) are compared in pairs by Wilcoxon's
+interval of the mean (Student's t; Wilson's of successes). Rows that saw the same sketches (equal files) are compared in pairs by Wilcoxon's
 signed-rank test. How an experiment is read stands in its YAML:
 
     over      settings that repeat a configuration
@@ -148,8 +148,11 @@ def code_of(run: Path) -> str | None:
 
 
 def interval(values: np.ndarray) -> tuple[float, float, int, float, float]:
-    """Mean, standard deviation (n - 1), n and the 95 % confidence interval of the mean; nan leaves out."""
-    from scipy.stats import t
+    """Mean, standard deviation (n - 1), n and the 95 % confidence interval of the mean; nan leaves out.
+
+    Of yes and no (1 and 0) the interval is Wilson's: ten successes of ten do not make failure impossible.
+    """
+    from scipy.stats import binomtest, t
 
     kept = values[~np.isnan(values)]
     n = len(kept)
@@ -157,6 +160,8 @@ def interval(values: np.ndarray) -> tuple[float, float, int, float, float]:
         mean = float(kept.mean()) if n else np.nan
         return mean, np.nan, n, np.nan, np.nan
     mean, std = kept.mean(), kept.std(ddof=1)
+    if np.isin(kept, (0, 1)).all():
+        return float(mean), float(std), n, *binomtest(int(kept.sum()), n).proportion_ci(method="wilson")
     half = t.ppf(0.975, n - 1) * std / np.sqrt(n)
     return float(mean), float(std), n, float(mean - half), float(mean + half)
 

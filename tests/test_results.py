@@ -35,9 +35,17 @@ def job(folder, number, overrides, metrics, *, state="finished", sketches=None, 
 def test_the_interval_is_students(values):
     mean, std, n, low, high = interval(np.array([*values, np.nan]))
     assert n == len(values) and mean == pytest.approx(np.mean(values), abs=1e-9) and std == pytest.approx(np.std(values, ddof=1), abs=1e-9)
-    if std > 1e-6:
+    if std > 1e-6 and set(values) - {0, 1}:
         expected = stats.t.interval(0.95, n - 1, loc=np.mean(values), scale=stats.sem(values))
         np.testing.assert_allclose((low, high), expected, rtol=1e-6, atol=1e-6)
+
+
+@given(st.lists(st.booleans(), min_size=2, max_size=30))
+def test_the_interval_of_successes_holds_the_rates_that_are_within_two_deviations_of_what_was_seen(successes):
+    mean, _, n, low, high = interval(np.array(successes, dtype=float))
+    for rate in (low, high):
+        assert abs(rate - mean) == pytest.approx(stats.norm.ppf(0.975) * np.sqrt(rate * (1 - rate) / n), abs=1e-9)
+    assert 0 <= low <= mean <= high <= 1 and low < high
 
 
 def test_one_value_has_no_interval():
