@@ -6,7 +6,7 @@ interval of the mean (Student's t; Wilson's of successes). Rows that saw the sam
 signed-rank test. How an experiment is read stands in its YAML:
 
     over      settings that repeat a configuration
-    columns   name in the table: [path in metrics.json, factor]
+    columns   name in the table: [path in metrics.json, factor]; null leaves one of config.yaml's out
     rows      name of a method: prefix of the metric, for methods that a job measures beside its own (oracle_, linear_)
     across    settings whose values stand side by side in the short form of the table (short.py)
     published name of a row: {value of ``across``: text}, what others reported
@@ -110,7 +110,8 @@ def collect(folders: Sequence[Path]) -> Results:
 
 def read_by(spec: dict, jobs: tuple[JobResult, ...], measured: set[str]) -> Results:
     """The jobs as an experiment's ``spec`` says, with the columns of which something is measured."""
-    columns = {name: (path, float(factor)) for name, (path, factor) in spec["columns"].items() if path in measured}
+    asked = {name: column for name, column in spec["columns"].items() if column}
+    columns = {name: (path, float(factor)) for name, (path, factor) in asked.items() if path in measured}
     more = {"across": tuple(spec.get("across", ())), "published": spec.get("published", {}), "growth": spec.get("growth", False), "on_paper": spec.get("on_paper"),
             "pictures": tuple(spec.get("pictures", ["overview"]))}  # fmt: skip
     return Results(jobs, tuple(spec["over"]), columns, spec["rows"], **more)
