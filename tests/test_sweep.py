@@ -157,6 +157,15 @@ def test_a_launcher_has_the_basic_one_s_results_and_says_if_a_job_was_killed(lau
     assert (parallel / "table.md").read_text() == (serial / "table.md").read_text()
 
 
+def test_optuna_goes_on_with_the_trials_that_are_missing(launch, tmp_path):
+    pytest.importorskip("hydra_plugins.hydra_optuna_sweeper")
+    tune = ("-m", "experiment=tune", "hydra/sweeper=optuna", "hydra.sweeper.sampler.seed=0", "hydra.sweep.dir=runs/tuned")
+    for trials in (2, 3):
+        result = launch(*tune, f"hydra.sweeper.n_trials={trials}")
+        assert result.returncode == 0, result.stderr
+    assert result.stdout.count("finished earlier") == 2 and began(tmp_path) == ["100"] * 3
+
+
 def test_slurm_where_there_is_none_is_said(launch, tmp_path):
     from shutil import which
 
