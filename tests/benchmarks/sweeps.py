@@ -39,7 +39,13 @@ def start(cwd: Path, name: str, overrides) -> subprocess.Popen:
 def swept(cwd: Path, name: str, overrides) -> float:
     """Run a sweep to its end; its seconds."""
     started = time.perf_counter()
-    if start(cwd, name, overrides).wait():
+    process = start(cwd, name, overrides)
+    try:
+        failed = process.wait()
+    except BaseException:  # stopped by hand: a process group of its own hears nothing of it
+        os.killpg(process.pid, signal.SIGKILL)
+        raise
+    if failed:
         raise SystemExit((cwd / f"{name}.log").read_text()[-2000:])
     return time.perf_counter() - started
 
