@@ -68,7 +68,7 @@ class Flow:
     steps: int = 400
     noise: float | None = None
     learning_rate: float = 5e-3
-    patience: int = 100
+    patience: int = 60
     points: int = 100
     batch: int = 512
 
@@ -205,7 +205,7 @@ def _train(flow, log_prob, shape, settings, schedule: str = "cosine", weight_dec
     held = order[: max(count // 10, 1)].repeat(4)
     kept = order if settings.patience is None else order[count // 10 :]
     held_noise = torch.randn(len(held), dimension)
-    adam = torch.optim.Adam(flow.parameters(), settings.learning_rate, weight_decay=weight_decay)
+    adam = torch.optim.Adam(flow.parameters(), settings.learning_rate, weight_decay=weight_decay, fused=True)
     rate = SCHEDULES[schedule](adam, settings.learning_rate, settings.steps)
     best, best_step, best_state = -np.inf, 0, None
     for step in range(settings.steps):
