@@ -23,6 +23,7 @@ import numpy as np
 from tqdm import tqdm
 
 from scene.field import Field, Shading, kernels, occupancy
+from scene.field.cells import dilate
 from scene.field.descent import Descent, KernelDescent, Rates
 from scene.field.device import chosen
 from scene.field.grid import Grid
@@ -103,7 +104,6 @@ class Training:
 
     field: Field
     descent: Descent
-    occupied: np.ndarray  # (n, n, n) bool
     seen: np.ndarray  # cells that were seen since the last pruning, as bits (`occupancy.cells`)
     surface: np.ndarray  # cells that held a surface since then
     gains: np.ndarray  # (pictures, 3): how much brighter each is than the field, by channel
@@ -217,7 +217,7 @@ def _start(views, points, bounds, shading: Shading, device, threads, thin) -> Tr
         centre, half, Grid.empty(), shading, occupancy.Occupancy.of(occupied),
         step=1.0, scale=SCALE, shift=float(np.log(np.expm1(thin / SCALE))), near=NEAR,
     ).on(device)  # fmt: skip
-    return Training(field, _descent(field, threads), occupied, *np.zeros((2, 1), np.uint64), np.ones((len(views), 3), np.float32))
+    return Training(field, _descent(field, threads), *np.zeros((2, 1), np.uint64), np.ones((len(views), 3), np.float32))
 
 
 def _advance(run: Training, stages, done: float, points, prior, views, nearest, exposure: bool) -> bool:
@@ -226,19 +226,19 @@ def _advance(run: Training, stages, done: float, points, prior, views, nearest, 
     begins = due and run.stage + 1 < len(stages) and done >= stages[run.stage + 1].begin
     if not (due or begins):
         return False
+    mask = run.field.occupied.mask
     if run.stage >= 0:
         _sweep(run, views, stages[run.stage].visible, nearest, exposure)
-        run.occupied = occupancy.cells(run.seen)
-        if points is not None:
-            run.occupied |= occupancy.around(_places(run, points), len(run.occupied))
+        mask = run.seen if points is None else occupancy.marked(run.seen, _places(run, points))
     if begins:
         run.stage += 1
-        run.occupied = occupancy.resampled(run.occupied, stages[run.stage].cells)
+        mask = occupancy.bits(occupancy.resampled(occupancy.cells(mask), stages[run.stage].cells))
+    n = stages[run.stage].cells
     if run.step:
-        run.occupied = occupancy.dilated(run.occupied)
-    if points is not None and len(points) and not len(run.field.shading.background) and len(run.occupied) <= 256:
-        run.occupied &= ~occupancy.empty_by_sight(views, points, run.field.centre, run.field.half, len(run.occupied))
-    run.field.occupied = occupancy.Occupancy.of(run.occupied)
+        mask = dilate(mask, n // 4)
+    if points is not None and len(points) and not len(run.field.shading.background) and n <= 256:
+        mask = mask & ~occupancy.bits(occupancy.empty_by_sight(views, points, run.field.centre, run.field.half, n))
+    run.field.occupied = occupancy.Occupancy.from_mask(mask)
     if begins:
         _grow(run, stages[run.stage], points, prior)
     run.seen, run.surface = (np.zeros(len(run.field.occupied.mask), np.uint64) for _ in range(2))
@@ -271,7 +271,7 @@ def _grow(run: Training, stage: Stage, points, prior) -> None:
     """Add the stage's new levels; the first one starts grey, and dense where the points are."""
     grid = run.field.grid
     for size in stage.levels[len(grid.sizes) :]:
-        grid = grid.with_level(size, run.occupied if len(grid.sizes) < 2 else occupancy.dilated(occupancy.cells(run.surface)))
+        grid = grid.with_level(size, occupancy.cells(run.field.occupied.mask) if len(grid.sizes) < 2 else occupancy.dilated(occupancy.cells(run.surface)))
     if run.stage == 0:
         grid.values[64:, 1:4] = 0.5
         if points is not None:
@@ -295,7 +295,7 @@ def _save(run: Training, path, views, seed, stages) -> None:
         np.savez(
             file, fingerprint=_fingerprint(views, seed, stages), centre=field.centre, sizes=field.grid.sizes,
             numbers=[field.half, field.step, field.scale, field.shift, field.near],
-            roots=field.grid.roots, table=field.grid.table, values=field.grid.values, occupied=run.occupied, seen=run.seen, surface=run.surface, gains=run.gains, background=field.shading.background,
+            roots=field.grid.roots, table=field.grid.table, values=field.grid.values, occupied=field.occupied.mask, seen=run.seen, surface=run.surface, gains=run.gains, background=field.shading.background,
             inner=field.shading.inner, outer=field.shading.outer,
             progress=[run.stage, run.step, run.pruned], seconds=run.seconds, **run.descent.state(),
         )  # fmt: skip
@@ -317,10 +317,10 @@ def _resume(path, views, seed, stages, device, threads) -> Training | None:
     grid = Grid(state["sizes"], state["roots"], state["table"], state["values"])
     shading = Shading(state["background"], state["inner"], state["outer"])
     field = Field(
-        state["centre"], float(state["numbers"][0]), grid, shading, occupancy.Occupancy.of(state["occupied"]),
+        state["centre"], float(state["numbers"][0]), grid, shading, occupancy.Occupancy.from_mask(state["occupied"]),
         *map(float, state["numbers"][1:]),
     ).on(device)  # fmt: skip
     descent = _descent(field, threads)
     descent.restore(state)
     stage, step, pruned = map(int, state["progress"])
-    return Training(field, descent, state["occupied"], state["seen"], state["surface"], state["gains"], stage, step, pruned, float(state["seconds"]))
+    return Training(field, descent, state["seen"], state["surface"], state["gains"], stage, step, pruned, float(state["seconds"]))

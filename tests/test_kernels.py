@@ -1,14 +1,16 @@
 """The kernels against the same maths in torch: what they composite, and every gradient."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 from fields import random_field
 
-from scene.field import kernels, volume
+from scene.field import Field, kernels, volume
 from scene.field.descent import KernelDescent, Rates
 from scene.field.grid import BRICK, interpolate
-from scene.field.occupancy import cells, contract
+from scene.field.occupancy import Occupancy, cells, contract
 
 
 @pytest.fixture
@@ -114,6 +116,19 @@ def test_samples_whose_gradients_are_small_move_nothing(field, rays, monkeypatch
     jitter, colours = np.full(n, 0.5, np.float32), np.zeros((n, 3), np.float32)
     KernelDescent(field, threads=1).step(rays, colours, colours, jitter, Rates(1, 1, 1, 1), *bits, 0.1)
     np.testing.assert_array_equal(field.grid.values, before)
+
+
+@pytest.mark.parametrize("inside", [slice(12, 20), slice(6, 26)])  # within the box and beyond it
+def test_rays_end_where_nothing_more_is_occupied(field, rays, inside, monkeypatch):
+    occupied = np.zeros((32, 32, 32), bool)
+    occupied[inside, inside, inside] = True
+    inner = replace(field, occupied=Occupancy.of(occupied))
+    ended = inner.march(rays)
+    assert (inner.end(rays, np.full(len(rays.near), 1e4, np.float32)) < 100).all()
+    monkeypatch.setattr(Field, "end", lambda self, rays, far: far)
+    endless = inner.march(rays)
+    np.testing.assert_array_equal(ended.channels, endless.channels)
+    np.testing.assert_array_equal(ended.distance, endless.distance)
 
 
 def test_no_depth_lies_beyond_far(field, rays):

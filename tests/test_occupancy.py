@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from scene.camera import Camera, View, look_at, orbit
 from scene.field import occupancy
+from scene.field.cells import dilate
 from scene.field.occupancy import Occupancy
 
 
@@ -17,6 +18,29 @@ def test_cells_come_back_from_their_bits(seed, m):
     packed = Occupancy.of(occupied)
     assert packed.size == 4 * m
     np.testing.assert_array_equal(occupancy.cells(packed.mask), occupied)
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 2**31), m=st.integers(1, 5), share=st.sampled_from([0.0, 0.01, 0.3]))
+def test_bits_are_dilated_as_cells_are(seed, m, share):
+    occupied = np.random.default_rng(seed).random((4 * m,) * 3) < share
+    np.testing.assert_array_equal(occupancy.cells(dilate(occupancy.bits(occupied), m)), occupancy.dilated(occupied))
+
+
+def test_cells_with_points_in_them_are_marked_beside_those_that_were():
+    rng = np.random.default_rng(0)
+    occupied, places = rng.random((20, 20, 20)) < 0.05, rng.uniform(-2, 2, (30, 3))
+    mask = occupancy.bits(occupied)
+    both = occupancy.cells(occupancy.marked(mask, places))
+    np.testing.assert_array_equal(both, occupied | occupancy.around(places, 20))
+    np.testing.assert_array_equal(occupancy.cells(mask), occupied)
+
+
+@pytest.mark.parametrize("c, reach", [((0.1, -0.1, 0.1), 0.4), ((-0.9, 0.1, 0.1), 1.25), ((0.1, 0.1, 1.3), 2.5)])
+def test_all_that_is_occupied_lies_within_its_reach(c, reach):
+    occupied = occupancy.around(np.array([c]), 40)  # blocks of 0.4
+    assert Occupancy.of(occupied).reach == pytest.approx(reach)
+    assert Occupancy.of(np.zeros_like(occupied)).reach == 0
 
 
 def test_the_distance_is_that_to_the_nearest_block_that_is_not_empty():

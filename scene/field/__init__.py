@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from scene.camera import Camera
-from scene.field import kernels
+from scene.field import kernels, network
 from scene.field.device import chosen, placed
 from scene.field.grid import BRICK, CHANNELS, Grid
 from scene.field.occupancy import Occupancy, cells
@@ -33,7 +33,7 @@ class Shading:
     """The network: composited channels and direction of view -> colour, with what lies behind everything.
 
     background (3,): the plain colour behind everything, (0,) if there is none; inner (16, H), outer (H, 3): weights, see
-    `kernels.shade`.
+    `network.shade`.
     """
 
     background: np.ndarray
@@ -92,6 +92,7 @@ class Field:
         far = np.full(n, FAR, np.float32) if far is None else far
         jitter = np.full(n, 0.5, np.float32) if jitter is None else jitter
         stop = np.float32(STOP_TRAINING if keep else STOP)
+        far = self.end(rays, far)
         if seen is None:
             seen = surface = np.zeros(len(self.occupied.mask) if keep else 1, np.uint64)
         if self.twin is not None:
@@ -110,6 +111,12 @@ class Field:
             min(keep, 1), capacity, first, count, cell, t, alpha, feature, out, through, distance,
         )  # fmt: skip
         return Marched(out, through, distance, (first, count, t, alpha, feature))
+
+    def end(self, rays: Rays, far) -> np.ndarray:
+        """Where rays that end at far (n,) end at the latest (n,): where they leave the cube that holds all that is occupied."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            leave = (np.copysign(np.float32(self.occupied.reach), rays.directions) - rays.origins) / rays.directions
+        return np.fmin(far, np.fmin.reduce(leave, axis=1))
 
     def render(self, camera: Camera, rows: int = 64, near: float = 0.0, far: float = np.inf):
         """The picture (height, width, 3) uint8 and its depth (height, width) float32 [m] along z, nan where nothing is hit.
@@ -143,7 +150,7 @@ class Field:
             return self.twin.shade(self, marched, rays, behind)
         colour = np.empty((len(rays.near), 3), np.float32)
         kernels.in_parallel(
-            kernels.shade, len(colour), threads, marched.channels, marched.through, rays.directions,
+            network.shade, len(colour), threads, marched.channels, marched.through, rays.directions,
             behind, *self.shading.parameters, colour,
         )  # fmt: skip
         return colour

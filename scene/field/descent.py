@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scene.field import Field, Rays, kernels
+from scene.field import Field, Rays, kernels, network
 from scene.field.device import lengthened, placed
 from scene.field.grid import BRICK
 
@@ -101,7 +101,7 @@ class KernelDescent(Descent):
         grad_channels, grad_through = np.empty_like(marched.channels), np.empty_like(marched.through)
         grads = [np.zeros((kernels.pieces(self.threads), *p.shape), np.float32) for p in field.shading.parameters]
         kernels.in_parallel(
-            kernels.shade_back, n, self.threads, marched.channels, marched.through, rays.directions,
+            network.shade_back, n, self.threads, marched.channels, marched.through, rays.directions,
             behind, *field.shading.parameters, grad_colour, grad_channels, grad_through, *grads,
         )  # fmt: skip
         touched = np.zeros(len(self.square) // BRICK**3, np.uint64)

@@ -1,5 +1,8 @@
 """The field's inner loops for a CPU: marching rays through the grid, forward and backward.
 
+`scene.field.network` shades what they find, `scene.field.cells` knows the cells they pass. What is inlined into a kernel stands in its
+file: numba's cache asks only whether that file has changed.
+
 Notation as in `scene.field.volume` and `scene.field.grid`. Every kernel works on a range [first, last) of rays or
 voxels without the interpreter's lock, so `in_parallel` spreads it over threads; two threads add their
 gradients to the same voxels without locks, which loses a few additions and is not bit-reproducible:
@@ -21,7 +24,7 @@ from numba.extending import intrinsic
 CHANNELS = 8
 THREADS = min(2, os.cpu_count() or 1)
 _POOL = ThreadPoolExecutor(THREADS)
-_FAST = {"nogil": True, "cache": True, "fastmath": {"nsz", "arcp", "contract", "afn", "reassoc"}, "error_model": "numpy"}
+FAST = {"nogil": True, "cache": True, "fastmath": {"nsz", "arcp", "contract", "afn", "reassoc"}, "error_model": "numpy"}
 
 
 def in_parallel(kernel, count: int, threads: int, *arguments) -> None:
@@ -87,7 +90,7 @@ def _scatter(typingctx, gradient, rows, weights, vector, vector_row):
     return types.none(gradient, rows, weights, vector, vector_row), generate
 
 
-@njit(forceinline=True, fastmath=_FAST["fastmath"], error_model="numpy")
+@njit(forceinline=True, fastmath=FAST["fastmath"], error_model="numpy")
 def _place(ox, oy, oz, dx, dy, dz, t):
     """Contracted place of o + t d, the speed |dc/dt| there, and the L-inf norm of the point."""
     x, y, z = ox + t * dx, oy + t * dy, oz + t * dz
@@ -116,7 +119,7 @@ def _row(x, y, z, roots, root, count, table):
     return (np.int64(table[entry]) << 6) + ((x & 3) << 4) + ((y & 3) << 2) + (z & 3)
 
 
-@njit(forceinline=True, fastmath=_FAST["fastmath"], error_model="numpy")
+@njit(forceinline=True, fastmath=FAST["fastmath"], error_model="numpy")
 def _corners(cx, cy, cz, size, roots, root, table):
     """The eight voxels around a contracted place on a level of ``size`` cells, and their trilinear weights.
 
@@ -156,7 +159,7 @@ def _kept(rows):
     return (rows[0] | rows[1] | rows[2] | rows[3] | rows[4] | rows[5] | rows[6] | rows[7]) >= 64
 
 
-@njit(forceinline=True, fastmath=_FAST["fastmath"], error_model="numpy")
+@njit(forceinline=True, fastmath=FAST["fastmath"], error_model="numpy")
 def _cell(cx, cy, cz, size):
     """Number of a contracted place's cell in an occupancy grid of ``size`` cells an axis: 64 * block + place in the block."""
     scale = np.float32(0.25) * np.float32(size)
@@ -174,7 +177,7 @@ def _bit(index):
     return np.uint64(1) << np.uint64(index & 63)
 
 
-@njit(forceinline=True, fastmath=_FAST["fastmath"], error_model="numpy")
+@njit(forceinline=True, fastmath=FAST["fastmath"], error_model="numpy")
 def _exit(c, v, size, empty):
     """How far [t] along one axis a ray at c with velocity v stays in the cells nearer than ``empty`` to its own."""
     scale = np.float32(0.25) * np.float32(size)
@@ -184,13 +187,13 @@ def _exit(c, v, size, empty):
     return (room + np.float32(1e-3)) / max(abs(v) * scale, np.float32(1e-9))
 
 
-@njit(forceinline=True, fastmath=_FAST["fastmath"], error_model="numpy")
+@njit(forceinline=True, fastmath=FAST["fastmath"], error_model="numpy")
 def _leaves(c, v):
     """How far [t] along one axis a ray at c in [-1, 1] with velocity v stays there."""
     return (np.float32(1.0) - (c if v > np.float32(0.0) else -c)) / max(abs(v), np.float32(1e-9))
 
 
-@njit(forceinline=True, fastmath=_FAST["fastmath"], error_model="numpy")
+@njit(forceinline=True, fastmath=FAST["fastmath"], error_model="numpy")
 def _skip(cx, cy, cz, dx, dy, dz, size, empty, step, speed, r):
     """How far a ray may go [t] when the nearest occupied cell is ``empty`` cells away.
 
@@ -204,7 +207,7 @@ def _skip(cx, cy, cz, dx, dy, dz, size, empty, step, speed, r):
     return max(min(np.float32(0.5) * length, np.float32(0.25) * r), step / speed)
 
 
-@njit(**_FAST)
+@njit(**FAST)
 def march(
     first, last, piece, origins, directions, near, far, jitter, step, thickness, occupancy_size, distance, mask, visible, seen, surface,
     sizes, roots, starts, table, values, shift, stop, keep, capacity, sample_first, sample_count,
@@ -290,7 +293,7 @@ def _mark(touched, rows):
         touched[row >> 6] |= _bit(row)
 
 
-@njit(**_FAST)
+@njit(**FAST)
 def march_back(
     first, last, piece, origins, directions, step, thickness, sizes, roots, starts, table, shift,
     sample_first, sample_count, sample_t, sample_alpha, sample_feature, out, out_through, grad_out, grad_through, least, gradient, touched,
@@ -335,82 +338,7 @@ def march_back(
                     _mark(touched, rows)
 
 
-@njit(forceinline=True, fastmath=_FAST["fastmath"], error_model="numpy")
-def _inputs(channels, through, directions, ray, x):
-    """The network's 16 inputs: the composited channels, and the direction's harmonics as far as the ray is opaque."""
-    for c in range(7):
-        x[c] = channels[ray, c + 1]
-    dx, dy, dz = directions[ray, 0], directions[ray, 1], directions[ray, 2]
-    x[7], x[8], x[9], x[10] = np.float32(1.0), dx, dy, dz
-    x[11], x[12], x[13] = dx * dy, dy * dz, dx * dz
-    x[14], x[15] = dx * dx - dy * dy, np.float32(3.0) * dz * dz - np.float32(1.0)
-    for k in range(7, 16):
-        x[k] *= np.float32(1.0) - through[ray]
-
-
-@njit(**_FAST)
-def shade(first, last, piece, channels, through, directions, background, inner, outer, colour):
-    """Composited channels (n, 8) -> colour (n, 3) = diffuse + T background + outer^T relu(inner^T x).
-
-    background (n, 3): what each ray meets behind everything; inner (16, H), outer (H, 3). There is no bias: where a
-    ray hits nothing, x = 0 and the background is seen as it is.
-    """
-    width = inner.shape[1]
-    x, hidden = np.empty(16, np.float32), np.empty(width, np.float32)
-    for ray in range(first, last):
-        _inputs(channels, through, directions, ray, x)
-        hidden[:] = 0.0
-        for k in range(16):
-            for j in range(width):
-                hidden[j] += x[k] * inner[k, j]
-        t = through[ray]
-        r, g, b = x[0] + t * background[ray, 0], x[1] + t * background[ray, 1], x[2] + t * background[ray, 2]
-        for j in range(width):
-            h = max(hidden[j], np.float32(0.0))
-            r += h * outer[j, 0]
-            g += h * outer[j, 1]
-            b += h * outer[j, 2]
-        colour[ray, 0], colour[ray, 1], colour[ray, 2] = r, g, b
-
-
-@njit(**_FAST)
-def shade_back(
-    first, last, piece, channels, through, directions, background, inner, outer, grad_colour,
-    grad_channels, grad_through, grad_inner, grad_outer,
-):  # fmt: skip
-    """Backward of `shade`. The gradients of the parameters have one more, leading, axis: a slice for each piece."""
-    width = inner.shape[1]
-    x, hidden, grad_hidden = np.empty(16, np.float32), np.empty(width, np.float32), np.empty(width, np.float32)
-    to_inner, to_outer = grad_inner[piece], grad_outer[piece]
-    for ray in range(first, last):
-        _inputs(channels, through, directions, ray, x)
-        r, g, b = grad_colour[ray, 0], grad_colour[ray, 1], grad_colour[ray, 2]
-        hidden[:] = 0.0
-        for k in range(16):
-            for j in range(width):
-                hidden[j] += x[k] * inner[k, j]
-        for j in range(width):
-            h = max(hidden[j], np.float32(0.0))
-            grad = r * outer[j, 0] + g * outer[j, 1] + b * outer[j, 2]
-            grad_hidden[j] = grad if hidden[j] > 0 else np.float32(0.0)
-            to_outer[j, 0] += h * r
-            to_outer[j, 1] += h * g
-            to_outer[j, 2] += h * b
-        light = r * background[ray, 0] + g * background[ray, 1] + b * background[ray, 2]
-        for k in range(16):
-            total = np.float32(0.0)
-            for j in range(width):
-                total += inner[k, j] * grad_hidden[j]
-                to_inner[k, j] += x[k] * grad_hidden[j]
-            if k < 7:
-                grad_channels[ray, k + 1] = total + (grad_colour[ray, k] if k < 3 else np.float32(0.0))
-            elif through[ray] < np.float32(1.0):
-                light -= total * x[k] / (np.float32(1.0) - through[ray])
-        grad_channels[ray, 0] = 0.0
-        grad_through[ray] = light
-
-
-@njit(**_FAST)
+@njit(**FAST)
 def pass_through(origins, directions, lengths, size, camera, least, cameras_through, last):
     """Count ``camera`` once in ``cameras_through`` (size^3,) uint8 for each cell its rays pass on ``lengths`` (n,).
 
@@ -433,7 +361,7 @@ def pass_through(origins, directions, lengths, size, camera, least, cameras_thro
             t += step / speed
 
 
-@njit(**_FAST)
+@njit(**FAST)
 def look_up(first, last, piece, places, sizes, roots, starts, table, values, out):
     """The grid's 8 channels (n, 8) at contracted places (n, 3)."""
     for i in range(first, last):
@@ -444,7 +372,7 @@ def look_up(first, last, piece, places, sizes, roots, starts, table, values, out
             _gather(out, i, values, rows, weights)
 
 
-@njit(**_FAST)
+@njit(**FAST)
 def rmsprop(first, last, piece, values, gradient, square, touched, rates, beta, unbiased, epsilon):
     """One RMSProp step on the touched voxels (a bit for each of a brick's 64); clears gradient and marks.
 
@@ -465,48 +393,3 @@ def rmsprop(first, last, piece, values, gradient, square, touched, rates, beta, 
                     values[v, c] -= rates[c] * unbiased * g / (np.sqrt(s) + epsilon)
             marks >>= np.uint64(1)
             v += 1
-
-
-@njit(**_FAST)
-def chebyshev(occupied, limit):
-    """occupied (n, n, n) uint8 -> distance [cells] of each cell to the nearest occupied one, at most ``limit``."""
-    n = occupied.shape[0]
-    near = np.empty((n, n, n), np.uint8)
-    for x in range(n):
-        for y in range(n):
-            for z in range(n):
-                near[x, y, z] = 0 if occupied[x, y, z] else limit
-    line = np.empty(n, np.uint8)
-    # The distance in the L-inf norm: one pass per axis of min_k max(|k|, d(. + k)), by two-sided sweeps to ``limit``.
-    for x in range(n):
-        for y in range(n):
-            for z in range(1, n):
-                near[x, y, z] = min(near[x, y, z], near[x, y, z - 1] + 1)
-            for z in range(n - 2, -1, -1):
-                near[x, y, z] = min(near[x, y, z], near[x, y, z + 1] + 1)
-    for x in range(n):
-        for z in range(n):
-            for y in range(n):
-                line[y] = near[x, y, z]
-            for y in range(n):
-                near[x, y, z] = _best(line, y, n)
-    for y in range(n):
-        for z in range(n):
-            for x in range(n):
-                line[x] = near[x, y, z]
-            for x in range(n):
-                near[x, y, z] = _best(line, x, n)
-    return near
-
-
-@njit(forceinline=True, fastmath=_FAST["fastmath"], error_model="numpy")
-def _best(line, at, n):
-    best = line[at]
-    k = 1
-    while k < best:
-        if at >= k:
-            best = min(best, max(k, line[at - k]))
-        if at + k < n:
-            best = min(best, max(k, line[at + k]))
-        k += 1
-    return best

@@ -4,10 +4,12 @@ An occupancy grid is (n, n, n) bool over contracted space, the cube [-2, 2]^3 (`
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from scene.field import kernels
+from scene.field.cells import chebyshev
 
 MARGIN = 1.2  # width of the box of interest over that of the pictures there
 FARTHEST = 32  # distances to occupied blocks of cells are counted up to this many
@@ -175,12 +177,20 @@ class Occupancy:
     @classmethod
     def of(cls, occupied: np.ndarray) -> "Occupancy":
         """From cells (n, n, n) bool; n is a multiple of 4."""
-        return cls.from_mask(np.packbits(blocks(occupied), axis=1, bitorder="little").view(np.uint64).ravel())
+        return cls.from_mask(bits(occupied))
 
     @classmethod
     def from_mask(cls, mask: np.ndarray) -> "Occupancy":
         m = round(len(mask) ** (1 / 3))
-        return cls(mask, kernels.chebyshev((mask > 0).astype(np.uint8).reshape(m, m, m), np.uint8(FARTHEST)).ravel())
+        return cls(mask, chebyshev((mask > 0).astype(np.uint8).reshape(m, m, m), np.uint8(FARTHEST)).ravel())
+
+    @cached_property
+    def reach(self) -> float:
+        """Half width of the smallest cube about the origin, not contracted, that holds all occupied blocks; 0 without any."""
+        m = round(len(self.mask) ** (1 / 3))
+        index = np.stack(np.unravel_index(np.flatnonzero(self.mask), (m, m, m)))
+        widest = float(np.maximum((index + 1) * 4 / m - 2, 2 - index * 4 / m).max(initial=0))
+        return widest if widest <= 1 else 1 / max(2 - widest, 1e-6)
 
     @property
     def size(self) -> int:
@@ -197,3 +207,17 @@ def cells(mask: np.ndarray) -> np.ndarray:
     """The cells (n, n, n) bool that a mask (m^3,) uint64 has a bit for."""
     m = round(len(mask) ** (1 / 3))
     return cells_of_blocks(np.unpackbits(mask.view(np.uint8), bitorder="little").view(bool), m)
+
+
+def bits(occupied: np.ndarray) -> np.ndarray:
+    """The inverse of `cells`."""
+    return np.packbits(blocks(occupied), axis=1, bitorder="little").view(np.uint64).ravel()
+
+
+def marked(mask: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """The mask with the cells that hold one of the contracted places (k, 3)."""
+    m = round(len(mask) ** (1 / 3))
+    x, y, z = np.clip(((places + 2) * m).astype(np.int64), 0, 4 * m - 1).T
+    mask, bit = mask.copy(), (x & 3) << 4 | (y & 3) << 2 | (z & 3)
+    np.bitwise_or.at(mask, ((x >> 2) * m + (y >> 2)) * m + (z >> 2), np.uint64(1) << bit.astype(np.uint64))
+    return mask

@@ -32,7 +32,7 @@ class TorchDescent(Descent):
     def step(self, rays: Rays, target, behind, jitter, rates: Rates, seen: np.ndarray, surface: np.ndarray, visible: float) -> float:
         """`KernelDescent.step`."""
         field, marcher = self.field, self.field.twin
-        samples = marcher.gather(field, rays, np.full(len(target), FAR, np.float32), jitter, STOP_TRAINING)
+        samples = marcher.gather(field, rays, field.end(rays, np.full(len(target), FAR, np.float32)), jitter, STOP_TRAINING)
         self.keep = int(1.3 * len(samples.t) / len(target)) + 16  # for the kernels, if they go on with this training
         network = [p.clone().requires_grad_() for p in field.shading.parameters]
         samples.feature.requires_grad_()
