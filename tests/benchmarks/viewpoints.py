@@ -85,9 +85,10 @@ def true_error(job, cameras, motions, seed: int) -> tuple:
 
 def jobs(pairs, greedy, proposed, motions: int, hands: int) -> list[tuple]:
     """Every fit, in an order whose beginnings are balanced."""
-    random = [("random", *pair, m, 0) for m in range(motions) for pair in pairs]
-    right = [("greedy", *pair, m, 0) for m in range(motions) for pair in greedy]
-    ours = [("proposed", *proposed, m, h) for h in range(hands) for m in range(motions)]
+    meant = [(m, h) for h in range(hands) for m in range(motions)]
+    random = [("random", *pair, *which) for which in meant for pair in pairs]
+    right = [("greedy", *pair, *which) for which in meant for pair in greedy]
+    ours = [("proposed", *proposed, *which) for which in meant]
     order = [((k + 0.5) / len(part), job) for part in (random, right, ours) for k, job in enumerate(part)]
     return [job for _, job in sorted(order, key=lambda item: item[0])]
 
@@ -109,21 +110,24 @@ def measured(todo, work, rows: Path | None, processes: int) -> dict[tuple, float
 
 def report(errors, cameras, apart, pairs, meant, motions) -> None:
     """motions: (n, POINTS, 3) [m], those that were sketched."""
-    rows = {pair: {job[3]: e for job, e in errors.items() if job[0] == "random" and job[1:3] == pair} for pair in pairs}
-    drawn = sorted(set.intersection(*map(set, rows.values())))  # on every pair, so that pairs can be compared
-    each = np.array([[rows[pair][motion] for motion in drawn] for pair in pairs])
-    mean = lambda kind: np.nanmean([e for job, e in errors.items() if job[0] == kind and job[3] in drawn])
+    rows = {pair: {job[3:]: e for job, e in errors.items() if job[0] == "random" and job[1:3] == pair} for pair in pairs}
+    drawn = sorted(set.intersection(*map(set, rows.values())))  # by all hands on every pair, so that pairs can be compared
+    each = np.array([[rows[pair][which] for which in drawn] for pair in pairs])
+    mean = lambda kind: np.nanmean([e for job, e in errors.items() if job[0] == kind and job[3:] in drawn])
     true = np.nanmean(each, axis=1)
     expect = lambda x: np.array([viewpoints.expected_error([cameras[k] for k in pair], x) for pair in pairs])
-    expected, knowing = expect(meant), np.stack([expect(motions[m : m + 1]) for m in drawn], axis=1)
+    expected, knowing = expect(meant), np.stack([expect(motions[m : m + 1]) for m, _ in drawn], axis=1)
     print(f"{'apart deg':>10}{'expected mm':>13}{'true mm':>10}")
     for k in np.argsort(expected):
         print(f"{apart[pairs[k]]:10.0f}{expected[k]:13.1f}{true[k]:10.1f}")
     failed = int(np.isnan(list(errors.values())).sum())
-    print(f"\n{len(errors)} fits, {failed} failed; {len(pairs)} random pairs, on all of them {len(drawn)} motions")
+    print(f"\n{len(errors)} fits, {failed} failed; {len(pairs)} random pairs, on all of them {len(drawn)} motions by hands")
     print(f"rank correlation of expected and true error   {_agreement(expected, true):.2f}")
     print(f"  knowing where the motions run               {_agreement(knowing.mean(axis=1), true):.2f}")
     print(f"  of each motion on each pair, one hand       {_agreement(knowing.ravel(), each.ravel()):.2f}")
+    if len(drawn) > 1:
+        halves = _agreement(np.nanmean(each[:, ::2], axis=1), np.nanmean(each[:, 1::2], axis=1))
+        print(f"  of the true errors of two halves            {halves:.2f}")
     sines = np.sin(np.radians([apart[pair] for pair in pairs]))
     print(f"  of the sine of the angle alone              {_agreement(-sines, true):.2f}")
     print(f"median random pair {np.median(true):.1f} mm, best {true.min():.1f}, worst {true.max():.1f}")
