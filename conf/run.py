@@ -23,7 +23,7 @@ from omegaconf.errors import OmegaConfBaseException
 from conf import rerun
 from conf.mistakes import check_launcher, check_seeds, explained, was_killed
 from conf.results import figures_of
-from conf.stages import Job, status_of, write_json
+from conf.stages import Job, write_json
 from conf.sweep import Sweep, is_finished, kills_of, settings_key
 from scene.inputs import scene_name
 
