@@ -15,6 +15,7 @@ LANDING, HALVINGS = 0.04, 8  # m: the last of the way, which may be left out; of
 CAP = 0.1  # m: clearances beyond this are not told apart here
 SHARED_PROFILES, OWN_POSTURES, SCREENING_STRIDE = 4, 4, 3
 OWN_TRIES = 8  # so many samples in a row are tried with profiles of their own in vain, then no more
+AT_ONCE = 4  # waypoints that are measured before it is asked whether an attempt may still be among the best
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,7 +24,7 @@ class Attempt:
     follow.
 
     clearance: to the world [m]. refusal: why it is not feasible, empty where it is. short [m]: of the taught end, where the hand
-    touches before.
+    touches before. worst: the waypoint that is least clear.
     """
 
     index: int
@@ -33,6 +34,7 @@ class Attempt:
     clearance: float
     refusal: str = ""
     short: float = 0.0
+    worst: int = 0
 
     @property
     def rank(self) -> tuple:
@@ -60,21 +62,23 @@ class Search:
     def all(self, candidates, orientation=None) -> list[Attempt]:
         """Candidates (S, N, 3), the mean first; orientation: None or rows (t, quat_xyzw) that were taught.
 
-        A sample is tried with the mean's best profiles; where none of them serves, with its own.
+        A sample is tried with the mean's best profiles; where none of them serves, with its own. Of those refused only the
+        best is measured to its worst waypoint: the others are left where they are seen to be no better than one before.
         """
         if orientation is not None:
             taught = [taught_profile(self.arm, orientation, self.start, candidates.shape[1])]
             return [self.best(k, points, taught, self.comfortable)[0] for k, points in enumerate(candidates)]
-        mean, profiles = self.best(0, candidates[0], self._profiles(candidates[0], self.postures), np.inf)
-        attempts, in_vain = [mean], 0
+        mean, profiles = self.best(0, candidates[0], self._profiles(candidates[0], self.postures), np.inf, SHARED_PROFILES)
+        attempts, in_vain, leading = [mean], 0, mean
         for k, points in enumerate(candidates[1:], start=1):
             shared = self._profiles(points, OWN_POSTURES) if self.tool.kind == "tangent" else profiles
-            attempt, _ = self.best(k, points, shared[:SHARED_PROFILES], self.comfortable)
+            attempt, _ = self.best(k, points, shared[:SHARED_PROFILES], self.comfortable, than=leading)
             if attempt.refusal and in_vain < OWN_TRIES:
-                own, _ = self.best(k, points, self._profiles(points, OWN_POSTURES), self.comfortable)
+                own, _ = self.best(k, points, self._profiles(points, OWN_POSTURES), self.comfortable, than=leading)
                 attempt = max(attempt, own, key=lambda a: a.rank)
                 in_vain = in_vain + 1 if attempt.refusal else 0
             attempts.append(attempt)
+            leading = max(leading, attempt, key=lambda a: a.rank)
         return attempts
 
     def _profiles(self, points, count):
@@ -83,17 +87,19 @@ class Search:
         margin = self.margin - LANDING * self.lands  # the end itself lies in what the hand lands on
         return end_profiles(self.arm, self.model, points, self.start, count, margin)
 
-    def best(self, index, points, profiles, enough) -> tuple[Attempt, list[Profile]]:
-        """The best attempt at a path, and the profiles, best first. All are screened at some waypoints, until one has a
-        clearance of ``enough`` [m]; then the best are checked in full."""
+    def best(self, index, points, profiles, enough, ranked=1, than=None) -> tuple[Attempt, list[Profile]]:
+        """The best attempt at a path, and the profiles, the ``ranked`` best of them first and in order. All are screened at
+        some waypoints, until one has a clearance of ``enough`` [m]; then the best are checked in full. Refused ones that are
+        no better than the attempt ``than`` are not told apart."""
         screened = []
         for profile in profiles:
-            screened.append(self._screen(index, points, profile))
-            if not screened[-1].refusal and screened[-1].clearance >= enough:
+            beaten = max([than] * (than is not None) + screened[ranked - 1 : ranked], key=lambda a: a.rank, default=None)
+            attempt = self._screen(index, points, profile, beaten)
+            screened = sorted([*screened, attempt], key=lambda a: a.rank, reverse=True)
+            if not attempt.refusal and attempt.clearance >= enough:
                 break
         if not screened:
             return self._unreached(index, points), []
-        screened.sort(key=lambda a: a.rank, reverse=True)
         checked = []
         for attempt in screened[:SHARED_PROFILES]:
             checked.append(self._check(attempt))
@@ -108,7 +114,7 @@ class Search:
         refusal = f"{title(index)}: at t = 1.00 no posture of the arm reaches the end ({end}) m{turned}"
         return Attempt(index, points, self.start[None], None, -np.inf, refusal)
 
-    def _screen(self, index, points, profile) -> Attempt:
+    def _screen(self, index, points, profile, beaten) -> Attempt:
         try:
             path = path_to(self.arm, points, self.start, profile)
         except NoSolution as error:
@@ -116,7 +122,12 @@ class Search:
             reached = np.vstack([self.start, error.path])[: max(error.waypoint, 1)]
             return Attempt(index, points, reached, profile, -np.inf, f"{title(index)}: at t = {t:.2f} {error}")
         attempt = Attempt(index, points, path, profile, -np.inf)
-        return self._measured(self._landed(attempt) if self.lands else attempt, SCREENING_STRIDE)
+        attempt = self._landed(attempt) if self.lands else attempt
+        rows = _every(attempt, SCREENING_STRIDE)
+        if beaten is None:
+            return self._measured(attempt, rows)
+        there_first = np.argsort(np.abs(rows - beaten.worst), kind="stable")  # what met one is likely to meet the next
+        return self._measured(attempt, rows[there_first], beaten.rank)
 
     def _landed(self, attempt) -> Attempt:
         """The attempt as far as the hand may go before it touches what it lands on: the tip's frame may lie in from its
@@ -135,27 +146,41 @@ class Search:
         short = float(np.linalg.norm(points[-1] - arrived))
         return replace(attempt, points=np.vstack([points[:k], arrived]), path=np.vstack([path[:k], clear]), short=short)
 
-    def _measured(self, attempt, stride) -> Attempt:
-        last = len(attempt.path) - 1
-        rows = np.union1d(np.arange(0, last, stride), last)
-        distance, pair = self.model.measure(attempt.path[rows], cap=CAP)
+    def _measured(self, attempt, rows, floor=None) -> Attempt:
+        """The attempt measured at waypoints ``rows``, in this order; not at the rest once its rank falls below ``floor``."""
+        parts, count = [], len(rows) if floor is None else AT_ONCE
+        for first in range(0, len(rows), count):
+            parts.append(self.model.measure(attempt.path[rows[first : first + count]], cap=CAP))
+            seen = self._seen(attempt, rows, *map(np.concatenate, zip(*parts)))
+            if floor is not None and seen.refusal and seen.rank < floor:
+                break
+        return seen
+
+    def _seen(self, attempt, rows, distance, pair) -> Attempt:
+        """The attempt by what was measured (M, 2) at the first M of its waypoints ``rows``."""
         row, group = np.unravel_index(distance.argmin(), distance.shape)
         refusal = ""
         if distance[row, group] < self.margin:
-            names = self.model.pair_names(pair[row, group])
+            names, last = self.model.pair_names(pair[row, group]), len(attempt.path) - 1
             refusal = touch(attempt.index, rows[row] / last, distance[row, group], names, self.margin)
         clearance = distance[:, WORLD].min() if distance[:, ITSELF].min() >= self.margin else distance.min()
-        return replace(attempt, clearance=clearance, refusal=refusal)
+        return replace(attempt, clearance=clearance, refusal=refusal, worst=int(rows[row]))
 
     def _check(self, attempt) -> Attempt:
         """The attempt measured at every waypoint and swept between them; one already refused is left as it is."""
         if attempt.refusal:
             return attempt
-        full = self._measured(attempt, 1)
+        full = self._measured(attempt, _every(attempt, 1))
         if full.refusal:
             return full
         t = np.linspace(0, 1, len(full.path))
         return replace(full, refusal=swept_refusal(self.model, full.path, t, full.index, self.margin))
+
+
+def _every(attempt, stride) -> np.ndarray:
+    """Waypoints that lie ``stride`` apart, and the last."""
+    last = len(attempt.path) - 1
+    return np.union1d(np.arange(0, last, stride), last)
 
 
 def swept_refusal(model, path, t, index, margin) -> str:

@@ -155,27 +155,35 @@ class CollisionModel:
                 distance[n, group], pair[n, group] = self._exact(poses[n], lower[n, start:stop], start, cap, placed)
         return distance, pair
 
-    def close(self, q, within) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """q (N, J) -> all pairs nearer than ``within`` [m]: rows of q (K,), pairs (K,), clearances (K,) [m]."""
+    def close(self, q, within) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """q (N, J) -> all pairs nearer than ``within`` [m]: rows of q (K,), pairs (K,), clearances (K,) [m], and the clearances'
+        gradients by the joints (K, J)."""
         poses = self.arm.link_poses(q)
         rows, pairs = np.nonzero(self._lower(poses) < within)
-        clearance = self.distances(q[rows], pairs)
+        clearance, gradient = self._slopes(poses[rows], pairs)
         near = clearance < within
-        return rows[near], pairs[near], clearance[near]
+        return rows[near], pairs[near], clearance[near], gradient[near]
 
     def of_world(self, pairs) -> np.ndarray:
         """(K,) bool: which pairs (K,) are of the arm and the world."""
         return np.asarray(pairs) < len(self._pairs) - self._own
 
-    def distances(self, q, pairs) -> np.ndarray:
-        """Clearance (K,) [m] of one pair each, at q (K, J)."""
-        poses = self.arm.link_poses(q)
-        distance, placed = np.zeros(len(poses)), {}
+    def _slopes(self, poses, pairs) -> tuple[np.ndarray, np.ndarray]:
+        """Clearance (K,) [m] of one pair each, the links being at ``poses`` (K, L, 4, 4), and its gradient by the joints (K, J).
+
+        The nearest points of convex pieces lie on the pieces' common normal, wherever these move: so only what moves the points
+        along it counts.
+        """
+        distance, points = np.zeros(len(pairs)), np.zeros((2, len(pairs), 3))
         for k, pair in enumerate(pairs):
-            if k and not np.array_equal(q[k], q[k - 1]):
-                placed = {}
-            distance[k] = self._distance(*self._pairs[pair], poses[k], placed)
-        return distance + self._allowed[pairs]
+            distance[k], found = self._between(*self._pairs[pair], poses[k], {})
+            points[:, k] = found.nearest_points
+        normal = (points[0] - points[1]) * np.sign(distance)[:, None]
+        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
+        own, link, tree = ~self.of_world(pairs), self._link_of_piece, self.arm.tree
+        gradient = tree.speeds(poses, link[self._pairs[pairs, 0]], points[0], normal)
+        gradient[own] -= tree.speeds(poses[own], link[self._pairs[pairs[own], 1]], points[1, own], normal[own])
+        return distance + self._allowed[pairs], gradient
 
     def _lower(self, poses) -> np.ndarray:
         bounds = lower_bounds(poses, self._balls, self._first, self._link_of_piece, self._pairs, *self._bounds)
@@ -195,16 +203,20 @@ class CollisionModel:
 
     def _distance(self, a, b, poses, placed) -> float:
         """Of two pieces, the links being at ``poses`` (L, 4, 4). placed: those that stand there already, {piece: solid}."""
+        return self._between(a, b, poses, placed)[0]
+
+    def _between(self, a, b, poses, placed) -> tuple[float, fcl.DistanceResult]:
+        """The distance of two pieces, and FCL's answer with their nearest points."""
         for piece in (a, b):
             if piece not in placed:
                 placed[piece] = self._place(piece, poses)
         found = fcl.DistanceResult()
         distance = fcl.distance(self._objects[a], self._objects[b], self._request, found)
         if distance <= 0:
-            return distance
+            return distance, found
         (ax, ay, az), (bx, by, bz) = found.nearest_points
         certain = gap(*placed[a], *placed[b], ax - bx, ay - by, az - bz)
-        return distance if certain > distance - TRUSTED else separation.distance(placed[a], placed[b])
+        return distance if certain > distance - TRUSTED else separation.distance(placed[a], placed[b]), found
 
     def _place(self, piece, poses) -> tuple:
         """The piece where it is, for separation.py; a piece of the arm is put there for FCL too."""

@@ -25,10 +25,10 @@ from robot.postures import path_to
 
 ROUNDS, PATIENCE, LONGEST = 12, 3, 0.06  # steps, those without gain, and how far one may move the path [m]
 MUST, MAY = 1e8, 1e4  # 1/m^2: 1 mm less than the margin costs as much as 10 deviations, 1 cm less than is comfortable 1
-STRIDE = 2  # every other waypoint is watched; the result is checked at all and between them
+STRIDE = 3  # every third waypoint is watched; the result is checked at all and between them
 BUFFER = 3e-3  # m, beyond the margin, for what happens between waypoints
 ASIDE = 0.1  # m, how far aside other beginnings are
-PROBE, SETTLED = 1e-3, 2e-3  # m: for differences; a step that moves the path by less is the last
+LITTLE, SETTLED = 1e-3, 2e-3  # m: less clearance than that is no gain; a step that moves the path by less is the last
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +79,8 @@ def _descend(search, mean, R, z, profile, index, farthest) -> Moved:
         near = _near(search, mean + moved(z), profile)
         far = float(np.linalg.norm(moved(z), axis=1).max())
         clear = near.clearance.min(initial=np.inf)
-        stalled, clearest = (0, clear) if clear > clearest + PROBE else (stalled + 1, clearest)
+        gains = clear > clearest + LITTLE and far <= farthest  # to come clear by going too far is none
+        stalled, clearest = (0, clear) if gains else (stalled + 1, clearest)
         last = round == ROUNDS or stalled == PATIENCE and best is None
         if last and best is None or far <= farthest and clear >= search.margin:
             attempt, _ = search.best(index, mean + moved(z), [profile], np.inf)
@@ -90,7 +91,7 @@ def _descend(search, mean, R, z, profile, index, farthest) -> Moved:
         if last or longest < SETTLED and best is not None and not best.attempt.refusal:
             break
         z = z + step * min(1.0, LONGEST / max(longest, 1e-9))
-    too_far = f"{title(index)}: it would have to move by {1e3 * best.distance:.0f} mm (at most {1e3 * farthest:.0f})"
+    too_far = f"{title(index)}: it would have to move by more than {1e3 * farthest:.0f} mm"
     return best if best.distance <= farthest else replace(best, attempt=replace(best.attempt, refusal=too_far))
 
 
@@ -107,21 +108,21 @@ def _nearer(near, R, z, search, buffer) -> np.ndarray:
     """The z that solves the problem as it is linear around the present one."""
     A = np.einsum("ka,kan->kn", near.gradient, R.reshape(-1, 3, len(z))[near.rows])
     missing = A @ z - near.clearance
-    b = np.concatenate([missing + search.margin + buffer, (missing + search.comfortable)[near.world]])
-    cost = np.repeat([MUST, MAY], [len(missing), near.world.sum()])
-    return least(np.vstack([A, A[near.world]]), b, cost)
+    must = near.clearance < search.margin + buffer + LONGEST / 2
+    b = np.concatenate([(missing + search.margin + buffer)[must], (missing + search.comfortable)[near.world]])
+    cost = np.repeat([MUST, MAY], [must.sum(), near.world.sum()])
+    return least(np.vstack([A[must], A[near.world]]), b, cost)
 
 
 def _near(search, points, profile) -> _Near:
     path, wall = _followed(search, points, profile)
     watched = np.arange(0, len(path), STRIDE)
-    rows, pairs, clearance = search.model.close(path[watched], search.comfortable + LONGEST / 2)
+    rows, pairs, clearance, by_joints = search.model.close(path[watched], search.comfortable + LONGEST / 2)
     rows = watched[rows]
     size = 3 if profile.turned is None else 6
     J = np.array([search.arm.jacobian(q)[:size] for q in path]).reshape(len(path), size, -1)
     follows = np.linalg.pinv(J, rcond=1e-2)[..., :3]  # (N, J, 3): the joints' answer to the tip's displacement
-    probed = [search.model.distances(path[rows] + PROBE * follows[rows, :, i], pairs) for i in range(3)]
-    gradient, world = (np.array(probed).T.reshape(-1, 3) - clearance[:, None]) / PROBE, search.model.of_world(pairs)
+    gradient, world = np.einsum("kj,kji->ki", by_joints, follows[rows]), search.model.of_world(pairs)
     if wall is None:
         return _Near(rows, clearance, gradient, world)
     depth = np.linalg.norm(wall)
@@ -138,7 +139,7 @@ def _followed(search, points, profile):
         if error.posture is None:
             return np.reshape(error.path, (-1, len(search.start))), None
         wall = search.arm.fk(error.posture)[:3, 3] - points[error.waypoint]
-        return np.reshape(error.path, (-1, len(search.start))), wall if np.linalg.norm(wall) > PROBE else None
+        return np.reshape(error.path, (-1, len(search.start))), wall if np.linalg.norm(wall) > LITTLE else None
 
 
 def least(A, b, cost=MUST) -> np.ndarray:

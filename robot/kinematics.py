@@ -16,6 +16,7 @@ iteration.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numba import njit
@@ -44,6 +45,27 @@ class Tree:
         return batch_poses(
             self.parent, self.origin, self.axis, self.kind, self.column, self.held, np.ascontiguousarray(q)
         )
+
+    def speeds(self, poses, links, points, along) -> np.ndarray:
+        """How fast each joint moves a point (K, 3) of links (K,) along directions (K, 3), the links being at poses (K, L, 4, 4):
+        (K, J), in m/rad and m/m."""
+        out = np.zeros((len(points), self.column.max() + 1))
+        for joint in np.flatnonzero(self.column >= 0):
+            moves = self._below[joint, links]
+            axis = poses[:, joint, :3, :3] @ self.axis[joint]
+            turning = np.cross(axis, points - poses[:, joint, :3, 3])
+            velocity = axis if self.kind[joint] == PRISMATIC else turning
+            out[:, self.column[joint]] += moves * np.einsum("ki,ki->k", velocity, along)
+        return out
+
+    @cached_property
+    def _below(self) -> np.ndarray:
+        """(L, L) bool: whether the second link is the first or hangs from it."""
+        below = np.eye(len(self.parent), dtype=bool)
+        for link, parent in enumerate(self.parent):
+            if parent >= 0:
+                below[:, link] |= below[:, parent]
+        return below
 
     @property
     def rigid_groups(self) -> np.ndarray:

@@ -281,7 +281,8 @@ def test_a_held_thing_goes_with_the_hand_and_counts_as_part_of_it(world):
     q = arm.ik(down, start=arm.home)
     clearance, names = model.nearest(q)
     assert names == ("stick", "floor") and clearance == pytest.approx(0.006, abs=1e-3)
-    gap = model.distances(turned[None], [next(k for k, (a, b) in enumerate(model._pairs) if (model.names[a], model.names[b]) == ("stick", "wall"))])
+    _, pairs, gaps, _ = model.close(turned[None], 0.3)
+    gap = gaps[[(model.names[a], model.names[b]) == ("stick", "wall") for a, b in model._pairs[pairs]]]
     moved = np.linalg.inv(arm.fk(arm.home))[:3] @ np.append(tip - [0, 0, 0.1], 1)
     at = (arm.fk(turned) @ np.append(moved, 1))[:3]
     assert gap[0] == pytest.approx(tip[1] + 0.29 - at[1] - 0.01, abs=2e-3)
@@ -291,11 +292,27 @@ def test_all_near_pairs_are_given_with_their_clearance(world):
     arm = Arm.load("panda")
     add(world, "post", [0.45, 0.2, 0.3], shapeType=pybullet.GEOM_BOX, halfExtents=[0.02, 0.02, 0.3])
     model, q = CollisionModel(arm, world), arm.random(30, seed=5)
-    rows, pairs, clearance = model.close(q, 0.2)
+    rows, pairs, clearance, _ = model.close(q, 0.2)
     for n in range(len(q)):
         smallest = clearance[rows == n].min(initial=0.2)
         assert smallest == pytest.approx(min(model.clearance(q[n]), 0.2), abs=1e-9)
     assert (clearance < 0.2).all() and model.of_world(pairs).any()
+
+
+@pytest.mark.parametrize("name", ["panda", "aliengo_z1"])
+def test_the_gradient_of_a_clearance_is_that_of_its_differences(world, name):
+    arm = Arm.load(name)
+    add(world, "post", [0.45, 0.2, 0.3], shapeType=pybullet.GEOM_BOX, halfExtents=[0.1, 0.1, 0.3])
+    model, q, small = CollisionModel(arm, world), arm.random(40, seed=5), 1e-5
+    rows, pairs, clearance, gradient = model.close(q, 0.1)
+    measured = np.zeros_like(gradient)
+    for joint in range(q.shape[1]):
+        away = small * np.eye(q.shape[1])[joint]
+        ahead, behind = (model._slopes(arm.link_poses(q[rows] + side), pairs)[0] for side in (away, -away))
+        measured[:, joint] = (ahead - behind) / (2 * small)
+    off = np.abs(measured - gradient).max(axis=1)
+    assert (clearance < 0).any() and model.of_world(pairs).any() and not model.of_world(pairs).all()
+    assert np.mean(off < 0.01) > 0.95  # a corner passes from one face to another here and there
 
 
 def test_what_stands_beside_a_point_is_told_by_its_distance():
