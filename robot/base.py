@@ -9,7 +9,8 @@ Notation
 
     1. Places on a grid around the path are screened: how much of the path the hand can follow with the base held still,
        how far from home and how near to limits the joints then are, and how far away the place is.
-    2. Of the best, the robot must stand clear, and its mount too; what is nearer than comfortable costs more.
+    2. Of the best, the robot must stand clear, and its mount too; what is nearer than comfortable costs more. Feet that stand
+       on something here must do so there.
     3. The first from which the planner's own search finds a feasible attempt at the mean (attempt.py) is taken.
 """
 
@@ -29,6 +30,7 @@ GRID, AROUND = 0.1, 1.0  # m, between places, and how far from the middle of the
 TURNS = np.radians([-45, 0, 45])  # of a robot with legs, from facing the middle of the path
 COARSE, STARTS = 25, 6  # waypoints of the screening, and postures that it begins from
 CLOSER, TRIED = 60, 6  # places where it stands clear whose path is measured, and those that are planned from
+UNDER = 0.02  # m, from a foot's sole to what it stands on
 AWAY, CLOSE = 1.5, 1.0  # cost of a metre (or radian) away from here, and of no clearance where it should be comfortable [rad]
 
 
@@ -69,7 +71,7 @@ def search(search: Search, skill, approach: float | None, mount: str | None = No
         if len(refused) == TRIED:
             break
         if all(_apart(place, other) for other in refused):
-            if _feasible(search, place, skill, approach, mount):
+            if _stands_on(search, place) and _feasible(search, place, skill, approach, mount):
                 return place
             refused.append(place)
     return None
@@ -150,6 +152,16 @@ def _stands_clear(search, place, mount, gaps) -> bool:
         return False
     there = model.gaps(mount) if mount else {}
     return all(there[name] >= search.margin for name, gap in gaps.items() if gap >= search.margin)
+
+
+def _stands_on(search, place) -> bool:
+    """Whether there is something below each foot that has something below it where the robot stands now."""
+    if search.arm.legs is None:
+        return True
+    legs, trunk = search.arm.legs, search.arm.link_names.index(search.arm.legs.trunk)
+    soles = legs.stance(search.arm.link_poses(search.start)[0, trunk]) - [0, 0, legs.radius]
+    there = search.model.standing(place.world_from_moved)
+    return all(there.beside(sole, UNDER) for sole in soles if search.model.beside(sole, UNDER))
 
 
 def _cleared(search, place, mount) -> Place:

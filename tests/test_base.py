@@ -107,6 +107,16 @@ def test_a_robot_with_legs_stands_clear_where_its_place_is_and_that_is_a_posture
     np.testing.assert_array_equal(place.start[3:], dog.home[3:])
 
 
+def test_a_robot_with_legs_stands_only_where_there_is_floor_under_its_feet():
+    dog = Arm.load("aliengo_z1")
+    stands_on = lambda w, shift: base._stands_on(search := Search(dog, CollisionModel(dog, w), dog.home, 0.01, 0.03, 4), base._place(search, np.array(shift), 0.0))
+    at = [*dog.home[:2], dog.legs.ground - 0.01]
+    with world(box("floor", [1.4, 1.4, 0.02], at)) as w:
+        assert stands_on(w, [0.2, 0.0]) and not stands_on(w, [0.6, 0.0]) and not stands_on(w, [0.0, -0.8])
+    with world(box("crate", [0.3, 0.3, 0.3], [3.0, 0.0, 0.0])) as w:
+        assert stands_on(w, [0.6, 0.0])  # the world says nothing of a floor
+
+
 @pytest.mark.slow  # half a minute of looking for the way around
 def test_a_robot_with_legs_walks_around_what_is_in_the_way_to_where_it_can():
     spec, dog = mounted(worldfile.read("drop_into_box"), Arm.load("aliengo_z1"))
