@@ -166,6 +166,7 @@ def _track(arm, poses, rows, slack, start, rest, gain):
     """The postures (T, J), and the position [m] and rotation errors [rad] (T,) that are left."""
     rests = np.array(np.broadcast_to(rest, (len(poses), len(start))), order="C")
     limits = arm.lower, arm.upper
+    poses = np.ascontiguousarray(poses)  # for a slice of others it would be compiled anew, which takes seconds
     return kinematics.track(arm.chain, *limits, poses, rests, start.copy(), float(gain), rows, float(slack), 1e-5)
 
 

@@ -186,6 +186,7 @@ def barred(arm, count):
 def paths(arm, count) -> None:
     """Smooth joint paths between random postures, given as what their tips do."""
     for title, rows in (("pose", POSE), ("position", POSITION)):
+        choose(arm, arm.fk(np.tile(arm.home, (2, 1))), rows)  # what is compiled once is no part of a path
         found, greedy, times, steps, errors = 0, 0, [], [], []
         for seed in range(count):
             ends, s = arm.random(3, 100 + seed), np.linspace(0, 1, 200)[:, None]
