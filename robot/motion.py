@@ -20,6 +20,7 @@ class Plan:
     mean. way: of the skill's ways the one that is followed, the most usual is 0. feasible: whether the
     motion passed every check; where False, ``joints`` are the least bad candidate, not to be performed. begins [s]: when the
     taught motion does, after the way to where it begins. stands: where the robot goes to stand first, or would have to, and why.
+    slow: where the taught motion takes very much longer than it was drawn, how long.
     """
 
     times: np.ndarray
@@ -37,6 +38,7 @@ class Plan:
     moved: str = ""
     begins: float = 0.0
     stands: str = ""
+    slow: str = ""
 
     @property
     def sentence(self) -> str:
@@ -53,7 +55,7 @@ class Plan:
         return (
             f"{which} is taken, {feasible} of {self.samples} candidates are feasible: {self.times[-1]:.1f} s, "
             f"at least {clear:.0f} mm clear of the world, position within {error:.2f} mm"
-        ) + f"; {self.stands}" * bool(self.stands)
+        ) + "".join(f"; {said}" for said in (self.slow, self.stands) if said)
 
     def joint_trajectory(self) -> dict:
         """In the layout of ROS 2's trajectory_msgs/JointTrajectory; the first point is the present state."""
@@ -74,7 +76,7 @@ class Plan:
 
     def save(self, path) -> None:
         """Write an npz file, whole or not at all."""
-        words = ("names", "refusals", "moved", "stands")
+        words = ("names", "refusals", "moved", "stands", "slow")
         values = {f.name: np.array(getattr(self, f.name), dtype=str if f.name in words else None) for f in fields(self)}
         with replacing(path) as temporary:
             np.savez(temporary, **values)
@@ -86,10 +88,10 @@ class Plan:
 
     @classmethod
     def _parsed(cls, arrays) -> "Plan":
-        later = {"way": np.array(0), "moved": np.array(""), "begins": np.array(0.0), "stands": np.array("")}  # earlier files have none
+        later = {"way": np.array(0), "moved": np.array(""), "begins": np.array(0.0), "stands": np.array(""), "slow": np.array("")}  # earlier files have none
         values = {f.name: (later | arrays)[f.name] for f in fields(cls)}
         words = {name: tuple(values[name].tolist()) for name in ("names", "refusals")}
-        numbers = {name: values[name].item() for name in ("samples", "chosen", "feasible", "way", "moved", "begins", "stands")}
+        numbers = {name: values[name].item() for name in ("samples", "chosen", "feasible", "way", "moved", "begins", "stands", "slow")}
         return cls(**values | words | numbers)
 
     def after(self, lead, velocity, acceleration) -> "Plan":

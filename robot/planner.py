@@ -35,6 +35,7 @@ MOVED = -1  # the index of the first way's moved mean; that of the second is one
 BEGINNINGS = 4  # postures where the motion begins that are tried to get to
 ADVICE = "robot.planner.approach=null bends the motion to begin where the hand is"
 AT_THE_END, SNAPPED = 0.97, 0.015  # share of a motion's time; m, of its end from what it is to touch there
+SLOW = 10  # times as long as it was drawn, of which one is told
 STANDS = ("here", "walk", "say")
 POSITION_TOLERANCE = 2e-3  # m, of the timed motion against the candidate
 
@@ -224,10 +225,16 @@ def _motion(skill, search, samples, waypoints, seed, rate, moved) -> Plan:
             refusals[attempt.index] = f"{title(attempt.index)}: {error}"
         if not refusals[attempt.index]:
             del refusals[attempt.index]
-            return _plan(arm, timed, refusals, attempt.index, samples, int(way[attempt.index]), said, True)
+            chosen = _plan(arm, timed, refusals, attempt.index, samples, int(way[attempt.index]), said, True)
+            return replace(chosen, slow=_slow(timed.times[-1], skill.duration))
     least_bad = max((a for a in attempts if a.index >= 0), key=lambda a: a.rank)
     timed = _untimely(arm, model, least_bad, skill.duration, rate)
     return _plan(arm, timed, refusals, least_bad.index, samples, int(way[least_bad.index]), said, False)
+
+
+def _slow(takes, drawn) -> str:
+    """What is said of a motion whose seconds are many times those that were drawn: the joints go a long way for it."""
+    return f"beware: it takes {takes / drawn:.0f} times the {drawn:.1f} s that were drawn" if takes > SLOW * drawn else ""
 
 
 def _check_start(arm, model, start, margin):

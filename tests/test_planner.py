@@ -59,6 +59,13 @@ def free():
     client.disconnect()
 
 
+def test_a_motion_that_takes_many_times_what_was_drawn_is_told_so(arm, free, tmp_path):
+    quick, usual = (plan(skill_to(arm, [0.5, 0.3, 0.5], duration=seconds), arm, free, samples=1) for seconds in (0.06, 4.0))
+    assert quick.feasible and "times the 0.1 s that were drawn" in quick.sentence and not usual.slow
+    quick.save(tmp_path / "plan.npz")
+    assert Plan.load(tmp_path / "plan.npz").sentence == quick.sentence
+
+
 def skill_to(arm, goal, lift=0.1, spread=0.02, duration=4.0, **more):
     """A distribution around a bow from where the hand is at home to the goal."""
     s = np.linspace(0, 1, 60)[:, None]
