@@ -57,19 +57,18 @@ def draw(job: Job, names: list[str]) -> tuple[list[Sketch], np.ndarray, np.ndarr
     """One sketch for each named view, the intended paths (views, strokes, T, 3) [m] behind its strokes, and the path (T, 3) [m]
     that all of them are attempts at.
     """
-    pages = _photographed(job, names) if job.cfg.user.draws_on == "photographs" else _rendered(job, names)
     hand = scaled(instantiate(job.cfg.user.hand), job.cfg.user.clumsiness)
     rng = np.random.default_rng(job.cfg.seed)
     spec, arm = mounted(job.settings("world"), instantiate(job.cfg.robot.arm))
     motion = varied(spec)["motion"]
     via = np.array([arm.fk(arm.home)[:3, 3], *motion["via"][1:]], dtype=float)  # whichever arm it is, its hand begins
-    sketches, paths = [], []
-    for page in pages:
+    path, sketches, paths = scripted.smooth_path(via), [], []
+    for page in _photographed(job, names, path) if job.cfg.user.draws_on == "photographs" else _rendered(job, names):
         drawn, intended = scripted.sketch(page.name, page.true_camera, via, hand, rng, count=job.cfg.user.strokes, flow=page.flow,
                                           events=motion.get("events", ()))  # fmt: skip
         sketches.append(Sketch(page.name, page.camera, drawn.strokes))
         paths.append(intended)
-    return sketches, np.stack(paths), scripted.smooth_path(via)
+    return sketches, np.stack(paths), path
 
 
 def _rendered(job: Job, names: list[str]) -> list[Page]:
@@ -102,10 +101,17 @@ def _views(job: Job) -> dict:
     return {view.name: view for view in load_views(job.capture / "views")}
 
 
-def _photographed(job: Job, names: list[str]) -> list[Page]:
-    """The photographs taken nearest to the views of those names, each once."""
+def _shows(camera: Camera, path) -> bool:
+    """Whether the motion is in the picture, with a tenth of it to spare on all sides for the hand."""
+    seen, size = camera.project(path), np.array([camera.width, camera.height])
+    return bool((np.isfinite(seen) & (seen > 0.1 * size) & (seen < 0.9 * size)).all())
+
+
+def _photographed(job: Job, names: list[str], path) -> list[Page]:
+    """The photographs taken nearest to the views of those names, each once, of those that show all of the path (T, 3) [m]."""
     true = json.loads((job.capture / "truth.json").read_text())["cameras"]
     taken = {view.name: view.camera for view in load_views(job.capture) if view.name in true}
+    taken = {name: camera for name, camera in taken.items() if _shows(camera, path)} or taken
     eyes = numbered(given(varied(job.settings("world"))["sketch_views"]))
     pages = []
     for name in names:
