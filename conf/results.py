@@ -68,9 +68,12 @@ class Results:
 
     @cached_property
     def varied(self) -> list[str]:
-        """Settings that differ between jobs."""
+        """Settings that differ between jobs; the experiment's name only where the others leave it open."""
         keys = dict.fromkeys(key for job in self.jobs for key in job.settings)
-        return [key for key in keys if len({job.settings.get(key) for job in self.jobs}) > 1]
+        values = lambda *names: {tuple(job.settings.get(name) for name in names) for job in self.jobs}
+        differ = [key for key in keys if len(values(key)) > 1]
+        others = [key for key in differ if key != "experiment" and key not in self.over]
+        return [key for key in differ if key != "experiment" or len(values(*others)) < len(values(*others, key))]
 
     @cached_property
     def rows(self) -> list[Row]:

@@ -25,7 +25,9 @@ def markdown(results: Results) -> str:
 
 def cells(results: Results) -> tuple[list[str], list[list[str]]]:
     """Head and lines of the table: one line for each method, and one for what others published."""
-    sides = {_side(results, row): _across(results, row) for row in results.rows}
+    places = {key: list(dict.fromkeys(row.settings.get(key) for row in results.rows)) for key in results.across}
+    ordered = sorted(results.rows, key=lambda row: [places[key].index(row.settings.get(key)) for key in results.across])
+    sides = {_side(results, row): _across(results, row) for row in ordered}
     lines: dict[str, dict[str, str]] = {}
     for row in results.rows:
         cell = lines.setdefault(_title(results, row), {})

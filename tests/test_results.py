@@ -187,6 +187,24 @@ def test_what_was_published_stands_beside_the_world_that_was_swept_alone(tmp_pat
     assert "<td>the paper<td>3.9 / 2.9" in page and 'href="1/"' in page
 
 
+def test_an_experiments_name_is_told_only_where_settings_leave_it_open(tmp_path):
+    both = [("teach/rptl=default", "table1"), ("teach/rptl=paper", "table1_paper"), ("teach/rptl=paper", "other")]
+    for number, (method, experiment) in enumerate(both):
+        job(tmp_path, number, [method, f"experiment={experiment}"], {"teach": {"mfd": 0.02}})
+    two = Results(jobs := collect([tmp_path]).jobs, ["seed"], {"MFD": ("teach.mfd", 100)}, {}).varied
+    assert two == ["teach/rptl", "experiment"]
+    assert Results(jobs[:2], ["seed"], {"MFD": ("teach.mfd", 100)}, {}).varied == ["teach/rptl"]
+    assert Results(jobs[1:], ["seed"], {"MFD": ("teach.mfd", 100)}, {}).varied == ["experiment"]
+
+
+def test_in_the_short_form_what_belongs_together_stands_together(tmp_path):
+    spec = SHORT | {"across": ["world", "user.draws_on"]}
+    for number, (world, on) in enumerate([("box", "rendered"), ("table", "rendered"), ("table", "photographs"), ("box", "photographs")]):
+        job(tmp_path, number, [f"world={world}", f"user.draws_on={on}"], {"teach": {"mfd": 0.02, "wd": 0.02}}, spec=spec)
+    head = short.markdown(collect([tmp_path])).splitlines()[0]
+    assert head == "| MFD / WD | box, rendered | box, photographs | table, rendered | table, photographs |"
+
+
 def test_what_is_kept_makes_the_same_table_in_the_readme(tmp_path):
     results = swept(tmp_path / "runs")
     short.keep(results, tmp_path / "docs" / "table1.json")
