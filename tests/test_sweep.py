@@ -189,7 +189,7 @@ def test_figures_go_to_tensorboard(launch, tmp_path):
     pytest.importorskip("tensorboard")
     from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-    assert launch("seed=3", "tracking=tensorboard").returncode == 0
+    assert launch("seed=3", "teach.basis.count=20", "tracking=tensorboard").returncode == 0
     (folder,) = tmp_path.glob("runs/default/*/0/tensorboard")
     events = EventAccumulator(str(folder))
     events.Reload()
@@ -198,7 +198,7 @@ def test_figures_go_to_tensorboard(launch, tmp_path):
 
 def test_figures_go_to_mlflow(launch, tmp_path):
     mlflow = pytest.importorskip("mlflow")
-    result = launch("seed=3", "tracking=mlflow")
+    result = launch("seed=3", "teach.basis.count=20", "tracking=mlflow")
     assert result.returncode == 0, result.stderr
     client = mlflow.MlflowClient(f"sqlite:///{tmp_path}/runs/mlflow.db")
     (run,) = client.search_runs([experiment.experiment_id for experiment in client.search_experiments()])
