@@ -19,7 +19,7 @@ OFFSET, SIZE, SMOOTH, DRIFT = 0.03, 0.045, 0.038, 0.006
 length."""
 SMOOTH_LENGTH, DRIFT_LENGTH = 0.13, 0.1
 """Correlation lengths of the smooth deviation in normalised time, of the drift in arc length."""
-PEOPLE = 0.3
+PEOPLE = 0.4
 """Strokes that what is known of people counts as: a few drawn in a row are more alike than others will be. More makes the 95 % region
 of letters hold more, and samples further from strokes."""
 
