@@ -1,6 +1,6 @@
 """How fast the sketching page is: python tests/benchmarks/page.py CAPTURE [--pictures docs]
 
-CAPTURE is a capture folder with field.pt and views (data/table); it is served from a copy of its links. Prints a table of
+CAPTURE is a capture folder with field.pt, views and mesh.ply (data/table after scene.mesh); it is served from a copy of its links. Prints a table of
 what the page promises. --pictures also writes page.png and page.gif of a person's way through it.
 """
 
@@ -39,6 +39,8 @@ def main() -> None:
     parser.add_argument("--pictures", type=Path)
     parser.add_argument("--repeat", type=int, default=5)
     asked = parser.parse_args()
+    if not (asked.capture / "mesh.ply").exists():
+        parser.error(f"{asked.capture} has no mesh.ply to show in space: run python -m scene.mesh first")
     with tempfile.TemporaryDirectory() as folder:
         capture = linked(asked.capture.resolve(), Path(folder) / "table")
         server, address = serve(capture, Path(folder))
