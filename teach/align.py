@@ -17,8 +17,9 @@ from scipy.ndimage import gaussian_filter1d
 
 from teach.bundle import BASIS, COUNT, Bundle, ViewedStroke, pinned
 from teach.consensus import consensus
+from teach.curve import directions
 from teach.epipolar import fundamental, lag_between
-from teach.likelihood import DRIFT, DRIFT_LENGTH, as_people, projection
+from teach.likelihood import DRIFT, DRIFT_LENGTH, as_people, correlation, projection
 from teach.repeats import lags_of_repeats
 from teach.sketch import Event, Sketch, SketchError, Stroke
 
@@ -49,8 +50,7 @@ class CommonTime:
     def uncertainty(self, basis, smoothness: float) -> np.ndarray:
         """(3M, 3M) [m^2] covariance of the mean's weights in ``basis``, as far as "aligned" leaves the curve open across its
         own direction: along it, moments would only be named otherwise."""
-        tangent = np.gradient(self.bundle.points, axis=0)
-        tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-300)
+        tangent = directions(self.bundle.points)
         across = np.eye(3) - tangent[:, :, None] * tangent[:, None]
         Psi = np.kron(BASIS(np.linspace(0, 1, COUNT)), np.eye(3))
         spread = np.einsum("tab,tbuc,udc->taud", across, (Psi @ self.bundle.covariance @ Psi.T).reshape(COUNT, 3, COUNT, 3), across,
@@ -62,7 +62,7 @@ class CommonTime:
         if self.drift == 0:
             return np.zeros((mean.size, mean.size))
         u = np.linspace(0, 1, COUNT)
-        drift = pinned(np.exp(-((u[:, None] - u) ** 2) / (2 * DRIFT_LENGTH**2)))
+        drift = pinned(correlation(u, DRIFT_LENGTH))
         velocity = np.gradient(basis(self.time) @ mean, u, axis=0)
         spread = velocity[:, :, None, None] * drift[:, None, :, None] * velocity
         return self._of_weights(self.drift**2 * spread.reshape(3 * COUNT, -1) / np.diag(drift).mean(), basis, smoothness)

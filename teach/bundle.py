@@ -30,7 +30,7 @@ from scene.camera import Camera, nearest_to_rays
 from teach.basis import SquaredExponential
 from teach.epipolar import fundamental, lag_between
 from teach.lag import at
-from teach.likelihood import OFFSET, SIZE, SMOOTH, SMOOTH_LENGTH, projection, smoothness_penalty
+from teach.likelihood import OFFSET, SIZE, SMOOTH, SMOOTH_LENGTH, correlation, projection, smoothness_penalty
 
 COUNT = 100
 """Points at which a view is compared with the curve."""
@@ -110,7 +110,7 @@ def hand_faults(stroke) -> np.ndarray:
     them."""
     u, extent = np.linspace(0, 1, len(stroke)), max(float(np.ptp(stroke, axis=0).max()), 1.0)
     arms = stroke - stroke.mean(axis=0)
-    smooth = SMOOTH**2 * np.exp(-((u[:, None] - u) ** 2) / (2 * SMOOTH_LENGTH**2))
+    smooth = SMOOTH**2 * correlation(u, SMOOTH_LENGTH)
     common = (OFFSET**2 + smooth) * extent**2 / 2
     return np.stack([common + SIZE**2 * np.outer(arm, arm) for arm in arms.T])
 
@@ -195,8 +195,7 @@ class _Problem:
         self.views, self.u = views, np.linspace(0, 1, COUNT)
         self.Phi = PHI
         self.Psi = np.kron(self.Phi, np.eye(3)).reshape(COUNT, 3, -1)
-        kernel = np.exp(-((self.u[:, None] - self.u) ** 2) / (2 * length**2))
-        self.L = lag**2 * (pinned(kernel) + 1e-8 * np.eye(COUNT))
+        self.L = lag**2 * (pinned(correlation(self.u, length)) + 1e-8 * np.eye(COUNT))
         self.L_inverse = np.linalg.inv(self.L)
         self.E_inverse = [np.linalg.inv(view.covariance) for view in views]
         self.x = triangulate([at(v.mean, self.u + l) for v, l in zip(views, lags, strict=True)], [v.camera for v in views])

@@ -17,6 +17,7 @@ from jaxtyping import Bool, Float
 
 from teach.bundle import BENDS, COUNT, LAGS, Bundle, ViewedStroke, adjust, solve, starts
 from teach.lag import at, lag_behind
+from teach.likelihood import correlation
 from teach.sketch import SketchError
 
 SURE = 20.0
@@ -122,7 +123,7 @@ def _trembling(view: ViewedStroke) -> ViewedStroke:
 def anything(view: ViewedStroke) -> float:
     """log p(stroke | any curve): a smooth one of its extent, anywhere on the picture."""
     u, size = np.linspace(0, 1, COUNT), (view.camera.width, view.camera.height)
-    shape = (ANYHOW * np.ptp(view.mean, axis=0).max()) ** 2 * np.exp(-((u[:, None] - u) ** 2) / (2 * LENGTH**2))
+    shape = (ANYHOW * np.ptp(view.mean, axis=0).max()) ** 2 * correlation(u, LENGTH)
     total = 0.0
     for axis, faults in enumerate(view.covariance):
         root = np.linalg.cholesky(faults + shape + (ANYWHERE * view.camera.width) ** 2)

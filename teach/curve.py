@@ -25,6 +25,12 @@ def resample(points, count: int) -> np.ndarray:
     return np.stack([np.interp(at, s[moves], column[moves]) for column in points.T], axis=1)
 
 
+def directions(points) -> np.ndarray:
+    """(N, D) way of the polyline ``points`` (N, D) at each of them, of length 1; 0 where it does not move."""
+    step = np.gradient(np.asarray(points, dtype=float), axis=0)
+    return step / np.maximum(np.linalg.norm(step, axis=1, keepdims=True), 1e-300)
+
+
 def mean_curve(curves, count: int = 200) -> np.ndarray:
     """(count, D) mean of curves (N_i, D), each at equal arc length; the result again at equal arc length."""
     return resample(np.mean([resample(curve, count) for curve in curves], axis=0), count)

@@ -29,6 +29,11 @@ def as_people(seen, known: float, free: int):
     return (free * seen + PEOPLE * known) / (free + PEOPLE)
 
 
+def correlation(u, length: float) -> np.ndarray:
+    """(N, N) correlation of a smooth process at places u (N,): the squared-exponential kernel of that length."""
+    return np.exp(-((u[:, None] - u) ** 2) / (2 * length**2))
+
+
 def smoothness_penalty(basis, count: int = 400, order: int = 2) -> np.ndarray:
     """(M, M) matrix P with w^T P w = integral over [0, 1] of the square of xi's derivative of that order."""
     t = np.linspace(0, 1, count)

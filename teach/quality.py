@@ -11,6 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from teach.curve import directions
 from teach.metrics import region_radius
 from teach.sketch import Sketch, ray_angle
 
@@ -65,8 +66,7 @@ def _beside(camera, strokes, distribution) -> np.ndarray:
     """(T,) o_v(t) [px] at TIMES. strokes: (S, T, 2) [px] of one view."""
     times = np.linspace(0, 1, strokes.shape[1])
     mean = camera.project(distribution.mean_at(times))
-    tangent = np.gradient(mean, axis=0)
-    tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-300)
+    tangent = directions(mean)
     off = strokes.mean(axis=0) - mean
     return np.interp(TIMES, times, np.abs(off[:, 0] * tangent[:, 1] - off[:, 1] * tangent[:, 0]))
 
@@ -103,8 +103,7 @@ def _sentence(weak) -> str:
 def level(cameras, x) -> np.ndarray:
     """(T,) bool: where the motion x (T, 3) [m] runs in a plane with each two of the cameras, along epipolar lines of both
     views: which of their points are the same one, geometry does not say there."""
-    tangent = np.gradient(x, axis=0)
-    tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-300)
+    tangent = directions(x)
     normals = [np.cross(a.centre - x, b.centre - x) for k, a in enumerate(cameras) for b in cameras[:k]]
     out = [np.abs((tangent * n).sum(axis=1)) / np.maximum(np.linalg.norm(n, axis=1), 1e-300) for n in normals]
     return np.max(out, axis=0) < np.sin(np.radians(LEVEL_DEG))

@@ -16,6 +16,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
+from teach.curve import directions
 from teach.lag import at, best_lag
 
 ROUNDS, SMOOTHING = 3, 1.0
@@ -38,8 +39,7 @@ def lags_of_repeats(strokes: Sequence[np.ndarray]) -> np.ndarray:
 
 
 def _direction(stroke) -> np.ndarray:
-    step = np.gradient(gaussian_filter1d(stroke, SMOOTHING, axis=0, mode="nearest"), axis=0)
-    return step / np.maximum(np.linalg.norm(step, axis=1, keepdims=True), 1e-12)
+    return directions(gaussian_filter1d(stroke, SMOOTHING, axis=0, mode="nearest"))
 
 
 def _lag(direction, mean) -> np.ndarray:

@@ -23,6 +23,7 @@ from scipy.special import logsumexp
 
 from teach.align import arc_length, resample, viewed
 from teach.bundle import BENDS, COUNT, LAGS, ViewedStroke, hand_faults, pinned, solve, starts
+from teach.likelihood import correlation
 from teach.sketch import Sketch
 
 MOST = 3
@@ -126,7 +127,7 @@ def _coordinates(strokes) -> tuple[np.ndarray, np.ndarray]:
     mean, u = strokes.mean(axis=0), np.linspace(0, 1, COUNT)[::EVERY]
     extent = max(float(np.ptp(mean, axis=0).max()), 1.0)
     floor = (TREMBLING * extent) ** 2 + PIXELS**2
-    difference = extent**2 / 2 * pinned(np.exp(-((u[:, None] - u) ** 2) / (2 * LENGTH**2)))
+    difference = extent**2 / 2 * pinned(correlation(u, LENGTH))
     y, scale = [], []
     for axis, faults in enumerate(hand_faults(mean)):
         variances, vectors = np.linalg.eigh(faults[::EVERY, ::EVERY])

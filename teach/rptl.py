@@ -80,7 +80,7 @@ def fit(
     the motion closes and repeats, None to see it by the strokes (teach.periodic.unrolled) or a periodic basis; the
     skill is a single turn then, in the periodic basis as wide as ``basis``. covariance: "coherent" (full, of whole
     strokes) or "diagonal" (the paper's independent weights). predictive: the coherent covariance is that of a further
-    demonstration, which includes how uncertain the mean is. smoothness: penalty of the mean's integrated squared
+    demonstration, which includes how uncertain the mean is and how strokes drift. smoothness: penalty of the mean's integrated squared
     acceleration, against its squared error. strength: number of strokes that the coherent covariance's prior is worth.
     conditioning: how the skill starts where the hand is, "gaussian" or the paper's "first_weight".
     depths: by view, depth pictures (h, w) [m along the optical axis, nan where nothing is seen]: strokes touch the

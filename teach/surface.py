@@ -14,7 +14,7 @@ import numpy as np
 
 from teach.align import resample
 from teach.depth import ERROR, SAME, surface_points
-from teach.likelihood import SMOOTH_LENGTH, fit_coherent, fit_diagonal, fit_mean, hand_prior, projection
+from teach.likelihood import SMOOTH_LENGTH, correlation, fit_coherent, fit_diagonal, fit_mean, hand_prior, projection
 from teach.sketch import Sketch, SketchError
 
 UNSEEN = 0.1
@@ -169,7 +169,7 @@ def _depth_covariance(basis, t, depth: float, smoothness: float) -> np.ndarray:
     Without it no motion would leave the surface, and one that must, to start at a hand above it, would do so wildly.
     """
     P = projection(basis, t, np.ones(len(t)), smoothness)
-    strays = (ERROR * depth) ** 2 * np.exp(-((t[:, None] - t) ** 2) / (2 * SMOOTH_LENGTH**2))
+    strays = (ERROR * depth) ** 2 * correlation(t, SMOOTH_LENGTH)
     return np.kron(P @ strays @ P.T, np.eye(3))
 
 
