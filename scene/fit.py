@@ -44,6 +44,8 @@ NEAR = 0.02
 """Where the rays of a new view begin, in units of the box's half width."""
 OPAQUE = 0.1
 """Until this fraction of training, random colours stand behind a scene that has no backdrop."""
+FORMAT = 2
+"""Of a checkpoint: one that another version wrote otherwise is of another training."""
 SAVE_EVERY = 30.0
 """Seconds between checkpoints."""
 SWEEP = 80
@@ -281,7 +283,7 @@ def _grow(run: Training, stage: Stage, points, prior) -> None:
 
 
 def _fingerprint(views, seed, stages) -> str:
-    digest = hashlib.sha256(repr((seed, stages)).encode())
+    digest = hashlib.sha256(repr((FORMAT, seed, stages)).encode())
     for view in views:
         for part in (view.camera.K, view.camera.world_from_camera, view.image):
             digest.update(np.ascontiguousarray(part).tobytes())

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.ndimage import maximum_filter
 
 from scene.camera import Camera, View, look_at, orbit
 from scene.field import occupancy
@@ -25,6 +26,7 @@ def test_cells_come_back_from_their_bits(seed, m):
 def test_bits_are_dilated_as_cells_are(seed, m, share):
     occupied = np.random.default_rng(seed).random((4 * m,) * 3) < share
     np.testing.assert_array_equal(occupancy.cells(dilate(occupancy.bits(occupied), m)), occupancy.dilated(occupied))
+    np.testing.assert_array_equal(occupancy.dilated(occupied), maximum_filter(occupied, size=3, mode="constant"))
 
 
 def test_cells_with_points_in_them_are_marked_beside_those_that_were():

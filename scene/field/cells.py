@@ -31,7 +31,6 @@ def chebyshev(occupied, limit):
         for y in range(n):
             for z in range(n):
                 near[x, y, z] = 0 if occupied[x, y, z] else limit
-    line = np.empty(n, np.uint8)
     # The distance in the L-inf norm: one pass per axis of min_k max(|k|, d(. + k)), by two-sided sweeps to ``limit``.
     for x in range(n):
         for y in range(n):
@@ -39,19 +38,22 @@ def chebyshev(occupied, limit):
                 near[x, y, z] = min(near[x, y, z], near[x, y, z - 1] + 1)
             for z in range(n - 2, -1, -1):
                 near[x, y, z] = min(near[x, y, z], near[x, y, z + 1] + 1)
-    for x in range(n):
-        for z in range(n):
-            for y in range(n):
-                line[y] = near[x, y, z]
-            for y in range(n):
-                near[x, y, z] = _best(line, y, n)
-    for y in range(n):
-        for z in range(n):
-            for x in range(n):
-                line[x] = near[x, y, z]
-            for x in range(n):
-                near[x, y, z] = _best(line, x, n)
+    _pass(near.transpose(0, 2, 1))
+    _pass(near.transpose(1, 2, 0))
     return near
+
+
+@njit(**FAST)
+def _pass(near):
+    """One pass along the last axis of near (n, n, n), in place."""
+    n = near.shape[2]
+    line = np.empty(n, np.uint8)
+    for a in range(n):
+        for b in range(n):
+            for k in range(n):
+                line[k] = near[a, b, k]
+            for k in range(n):
+                near[a, b, k] = _best(line, k, n)
 
 
 @njit(forceinline=True, fastmath=FAST["fastmath"], error_model="numpy")

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from scene.field import kernels
-from scene.field.cells import chebyshev
+from scene.field.cells import chebyshev, dilate
 
 MARGIN = 1.2  # width of the box of interest over that of the pictures there
 FARTHEST = 32  # distances to occupied blocks of cells are counted up to this many
@@ -139,17 +139,9 @@ def around(places: np.ndarray, n: int) -> np.ndarray:
     return occupied
 
 
-def dilated(occupied: np.ndarray, cells: int = 1) -> np.ndarray:
-    """Occupied cells and all within ``cells`` of them (L-inf)."""
-    for axis in range(3):
-        grown = occupied.copy()
-        for k in range(1, cells + 1):
-            lower, upper = [slice(None)] * 3, [slice(None)] * 3
-            lower[axis], upper[axis] = slice(None, -k), slice(k, None)
-            grown[tuple(lower)] |= occupied[tuple(upper)]
-            grown[tuple(upper)] |= occupied[tuple(lower)]
-        occupied = grown
-    return occupied
+def dilated(occupied: np.ndarray) -> np.ndarray:
+    """Occupied cells (n, n, n) and all beside them (L-inf); n is a multiple of 4."""
+    return cells(dilate(bits(occupied), len(occupied) // 4))
 
 
 def resampled(occupied: np.ndarray, n: int) -> np.ndarray:
