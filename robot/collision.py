@@ -160,7 +160,7 @@ class CollisionModel:
         gradients by the joints (K, J)."""
         poses = self.arm.link_poses(q)
         rows, pairs = np.nonzero(self._lower(poses) < within)
-        clearance, gradient = self._slopes(poses[rows], pairs)
+        clearance, gradient = self._slopes(poses, rows, pairs)
         near = clearance < within
         return rows[near], pairs[near], clearance[near], gradient[near]
 
@@ -168,16 +168,20 @@ class CollisionModel:
         """(K,) bool: which pairs (K,) are of the arm and the world."""
         return np.asarray(pairs) < len(self._pairs) - self._own
 
-    def _slopes(self, poses, pairs) -> tuple[np.ndarray, np.ndarray]:
-        """Clearance (K,) [m] of one pair each, the links being at ``poses`` (K, L, 4, 4), and its gradient by the joints (K, J).
+    def _slopes(self, poses, rows, pairs) -> tuple[np.ndarray, np.ndarray]:
+        """Clearance (K,) [m] of one pair each, the links being at those ``rows`` (K,) of poses (N, L, 4, 4), in order, and its
+        gradient by the joints (K, J).
 
         The nearest points of convex pieces lie on the pieces' common normal, wherever these move: so only what moves the points
         along it counts.
         """
         distance, points = np.zeros(len(pairs)), np.zeros((2, len(pairs), 3))
-        for k, pair in enumerate(pairs):
-            distance[k], found = self._between(*self._pairs[pair], poses[k], {})
-            points[:, k] = found.nearest_points
+        for row in np.unique(rows):
+            placed = {}
+            for k in np.flatnonzero(rows == row):
+                distance[k], found = self._between(*self._pairs[pairs[k]], poses[row], placed)
+                points[:, k] = found.nearest_points
+        poses = poses[rows]
         normal = (points[0] - points[1]) * np.sign(distance)[:, None]
         normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
         own, link, tree = ~self.of_world(pairs), self._link_of_piece, self.arm.tree

@@ -308,7 +308,7 @@ def test_the_gradient_of_a_clearance_is_that_of_its_differences(world, name):
     measured = np.zeros_like(gradient)
     for joint in range(q.shape[1]):
         away = small * np.eye(q.shape[1])[joint]
-        ahead, behind = (model._slopes(arm.link_poses(q[rows] + side), pairs)[0] for side in (away, -away))
+        ahead, behind = (model._slopes(arm.link_poses(q[rows] + side), np.arange(len(rows)), pairs)[0] for side in (away, -away))
         measured[:, joint] = (ahead - behind) / (2 * small)
     off = np.abs(measured - gradient).max(axis=1)
     assert (clearance < 0).any() and model.of_world(pairs).any() and not model.of_world(pairs).all()
