@@ -30,7 +30,7 @@ from scene.camera import Camera, nearest_to_rays
 from teach.basis import SquaredExponential
 from teach.epipolar import fundamental, lag_between
 from teach.lag import at
-from teach.likelihood import OFFSET, SIZE, SMOOTH, SMOOTH_LENGTH, correlation, projection, smoothness_penalty
+from teach.likelihood import OFFSET, SIZE, SMOOTH, correlation, hand_correlation, projection, smoothness_penalty
 
 COUNT = 100
 """Points at which a view is compared with the curve."""
@@ -110,7 +110,7 @@ def hand_faults(stroke) -> np.ndarray:
     them."""
     u, extent = np.linspace(0, 1, len(stroke)), max(float(np.ptp(stroke, axis=0).max()), 1.0)
     arms = stroke - stroke.mean(axis=0)
-    smooth = SMOOTH**2 * correlation(u, SMOOTH_LENGTH)
+    smooth = SMOOTH**2 * hand_correlation(u)
     common = (OFFSET**2 + smooth) * extent**2 / 2
     return np.stack([common + SIZE**2 * np.outer(arm, arm) for arm in arms.T])
 

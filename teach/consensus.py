@@ -21,7 +21,7 @@ from teach.likelihood import correlation
 from teach.sketch import SketchError
 
 SURE = 20.0
-"""Log evidence that leaving a view out has to gain. Honest views lose 17 to 130, contradicting ones gain 50 to 1800."""
+"""Log evidence that leaving a view out has to gain. Honest views lose 6 or more by it, contradicting ones gain 70 or more."""
 TREMBLING = 0.01
 """Deviation of what is not smooth, of the drawing's extent: the evidence must not hang on a hand's least faults."""
 ANYWHERE, ANYHOW, LENGTH = 0.3, 0.5, 0.25

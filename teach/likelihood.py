@@ -17,8 +17,8 @@ import numpy as np
 OFFSET, SIZE, SMOOTH, DRIFT = 0.03, 0.045, 0.038, 0.006
 """How a person's repetitions of a drawing differ, RMS: of the motion's extent, the size of its own, the drift of the arc
 length."""
-SMOOTH_LENGTH, DRIFT_LENGTH = 0.13, 0.1
-"""Correlation lengths of the smooth deviation in normalised time, of the drift in arc length."""
+SMOOTH_LENGTH, HAND_LENGTH, DRIFT_LENGTH = 0.13, 0.15, 0.1
+"""Correlation lengths of the smooth deviation in normalised time, of a stroke's fault and of the drift in arc length."""
 PEOPLE = 0.4
 """Strokes that what is known of people counts as: a few drawn in a row are more alike than others will be. More makes the 95 % region
 of letters hold more, and samples further from strokes."""
@@ -32,6 +32,13 @@ def as_people(seen, known: float, free: int):
 def correlation(u, length: float) -> np.ndarray:
     """(N, N) correlation of a smooth process at places u (N,): the squared-exponential kernel of that length."""
     return np.exp(-((u[:, None] - u) ** 2) / (2 * length**2))
+
+
+def hand_correlation(u, length: float = HAND_LENGTH) -> np.ndarray:
+    """(N, N) correlation of a stroke's fault at places u (N,): Matern's of order 3/2. The repetitions of people's letters have its
+    spectrum; a squared exponential leaves a tenth of what they have between the 8th and the 16th wave."""
+    r = np.sqrt(3) * np.abs(u[:, None] - u) / length
+    return (1 + r) * np.exp(-r)
 
 
 def smoothness_penalty(basis, count: int = 400, order: int = 2) -> np.ndarray:

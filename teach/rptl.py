@@ -30,8 +30,8 @@ from teach.sketch import Event, Sketch, SketchError, check, without_slips
 from teach.surface import fit_surface
 from teach.trajectory import Route, Skill, TrajectoryDistribution
 
-POOR = -22.0
-"""Log evidence below which views hardly show one motion: one in seventeen honest sketches, four in five of unrelated ones."""
+POOR = -40.0
+"""Log evidence below which views hardly show one motion: one in fifty honest sketches, 94 of a hundred unrelated ones."""
 POINTS = 100
 """Points at even times by which a stroke is represented while fitting."""
 

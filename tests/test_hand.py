@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.io import loadmat
 
+from teach.bundle import hand_faults
 from teach.curve import extent, mean_curve, resample
 from teach.hand import PARTS, Hand, faults, measure, own_speed, scaled, tremor
 
@@ -28,6 +29,19 @@ def test_a_person_s_letters_have_the_default_faults():
     assert found == pytest.approx({"offset": 0.0317, "size": 0.0461, "smooth": 0.0335, "ends": 0.0376}, abs=0.001)
     for name in PARTS:
         assert found[name] == pytest.approx(getattr(Hand(), name), rel=0.13)
+
+
+def test_a_person_s_letters_differ_from_each_other_in_waves_as_the_fit_takes_them_to():
+    waves = np.cos(np.pi * np.arange(24)[:, None] * t) / len(t)
+    found, taken = [], []
+    for strokes in letters():
+        curves = np.stack([resample(stroke, len(t)) for stroke in strokes])
+        letter = curves.mean(axis=0)
+        found.append(((waves @ (curves - letter)) ** 2).sum(axis=(0, 2)) / (len(curves) - 1) / extent(letter) ** 2)
+        taken.append(sum(np.diag(waves @ one @ waves.T) for one in hand_faults(letter)) / extent(letter) ** 2)
+    ratio = np.mean(found, axis=0) / np.mean(taken, axis=0)
+    bands = [ratio[low:high].mean() for low, high in ((0, 4), (4, 8), (8, 16), (16, 24))]
+    assert 0.5 < min(bands) and max(bands) < 2.0, bands
 
 
 def test_letters_of_the_simulated_hand_have_its_faults():
