@@ -17,7 +17,7 @@ signed-rank test. How an experiment is read stands in its YAML:
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -61,6 +61,7 @@ class Results:
     growth: bool = False
     on_paper: dict | None = None
     pictures: tuple[str, ...] = ("overview",)
+    stopped: tuple[Path, ...] = ()
 
     @property
     def missing(self) -> list[JobResult]:
@@ -93,6 +94,7 @@ class Results:
         """What a reader must know of the figures."""
         finished = len(self.jobs) - len(self.missing)
         notes = [f"{finished} of {len(self.jobs)} jobs finished."]
+        notes += [f"{folder.name} was stopped, or still runs: jobs that did not begin are not counted; the same command goes on with it." for folder in self.stopped]
         which = lambda job: said({key: job.settings[key] for key in self.varied if key in job.settings})
         notes += [f"Missing: {job.folder.name} ({which(job)}): {job.state}, {job.error}" for job in self.missing]
         codes = {job.code for job in self.jobs}
@@ -108,7 +110,8 @@ def collect(folders: Sequence[Path]) -> Results:
     if not specs:
         raise ValueError(f"no job of a sweep lies in {', '.join(map(str, folders))}: give runs/<experiment>/<time>")
     measured = {path for job in jobs for path in job.figures}
-    return read_by(specs[0], jobs, measured)
+    states = {folder: read_json(folder / "sweep.json", "").get("state") for folder in folders if (folder / "sweep.json").exists()}
+    return replace(read_by(specs[0], jobs, measured), stopped=tuple(folder for folder, state in states.items() if state in ("running", "stopped")))
 
 
 def read_by(spec: dict, jobs: tuple[JobResult, ...], measured: set[str]) -> Results:

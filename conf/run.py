@@ -50,7 +50,7 @@ def launch(task, *overrides: str) -> int:
         return _run_job(task, cfg)
 
     sys.argv[1:1] = overrides
-    sweep = None
+    sweep, whole = None, False
     try:
         check_launcher(sys.argv[1:])
         sys.argv[1:] = rerun.expanded(sys.argv[1:])
@@ -58,6 +58,7 @@ def launch(task, *overrides: str) -> int:
         if sweep is not None:
             sys.argv.append(f"hydra.sweep.dir='{sweep.folder}'")
         hydra_main()
+        whole = True
     except KeyboardInterrupt:
         print("\nInterrupted. Finished stages are kept: the same command goes on from there.", file=sys.stderr)
         return 130
@@ -68,7 +69,7 @@ def launch(task, *overrides: str) -> int:
             raise
         return _report(MemoryError("the process of a job was killed, perhaps for want of memory; the same command goes on from there"))
     finally:
-        failed = sweep.end() if sweep is not None else 0
+        failed = sweep.end(whole) if sweep is not None else 0
     return failed
 
 
