@@ -10,7 +10,7 @@ import numpy as np
 
 from conf import growth, short
 from conf.report import STYLE
-from conf.results import JobResult, Results, cells, comparisons, interval, markdown
+from conf.results import JobResult, Results, cells, comparisons, interval, markdown, yes_or_no
 from scene.files import replacing
 
 SORTS = """
@@ -117,6 +117,8 @@ def _dots(axes, results: Results, column: int) -> None:
         axes.errorbar(mean, i, xerr=[[mean - low], [high - mean]] if n > 1 else None, fmt="o", color="C0", capsize=3)
     axes.set_yticks(range(len(results.rows)), [", ".join(row.settings.values()) for row in results.rows])
     axes.invert_yaxis()
+    if all(yes_or_no(row.values[:, column]) for row in results.rows):
+        axes.set_xlim(-0.03, 1.03)
 
 
 def _list(title: str, sentences) -> str:
@@ -136,9 +138,9 @@ def _job(results: Results, job: JobResult, folder: Path) -> str:
     there = [name for name in results.pictures if (job.folder / "figures" / f"{name}.png").exists()]
     shown = "".join(f'<img loading=lazy alt="{html.escape(name)}, {said}" src="{where}/figures/{html.escape(name)}.png">' for name in there)
     page = "report.html" if (job.folder / "report.html").exists() else ""
-    link = f'<a href="{where}/{page}">{said}</a>'
+    link = f'<a href="{where}/{page}">{shown}<p>{said}</p></a>'
     failed = "" if job.state == "finished" else f"<p class=failed>{html.escape(job.state)}: {html.escape(job.error)}"
-    return f"<li>{shown}<p>{link}</p>{failed}"
+    return f"<li>{link}{failed}"
 
 
 def _line(results: Results, job: JobResult) -> dict:

@@ -167,7 +167,7 @@ def interval(values: np.ndarray) -> tuple[float, float, int, float, float]:
         mean = float(kept.mean()) if n else np.nan
         return mean, np.nan, n, np.nan, np.nan
     mean, std = kept.mean(), kept.std(ddof=1)
-    if np.isin(kept, (0, 1)).all():
+    if yes_or_no(kept):
         return float(mean), float(std), n, *binomtest(int(kept.sum()), n).proportion_ci(method="wilson")
     half = t.ppf(0.975, n - 1) * std / np.sqrt(n)
     return float(mean), float(std), n, float(mean - half), float(mean + half)
@@ -221,8 +221,15 @@ def _cells(row: Row, columns: int) -> list[str]:
     for column in range(columns):
         mean, std, n, low, high = interval(row.values[:, column])
         fewer = f" (n={n})" if n < len(row.values) else ""
-        cells += [(f"{mean:.3g} ± {std:.2g}" if n > 1 else f"{mean:.3g}") + fewer, f"{low:.3g} to {high:.3g}" if n > 1 else ""]
+        figure = f"{mean:.3g} ± {std:.2g}" if n > 1 else f"{mean:.3g}" if n else "-"
+        rate = n and yes_or_no(row.values[:, column])
+        cells += [f"{round(mean * n)} of {n}" if rate else figure + fewer, f"{low:.3g} to {high:.3g}" if n > 1 else ""]
     return cells
+
+
+def yes_or_no(values: np.ndarray) -> bool:
+    """Whether figures are of successes, 1 and 0; nan leaves out."""
+    return bool(np.isin(values[~np.isnan(values)], (0, 1)).all())
 
 
 def _job(folder: Path) -> JobResult:
