@@ -13,6 +13,7 @@ import json
 import sys
 import time
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -52,20 +53,29 @@ class Sweep:
         """Write the table; the exit code: 0 if every job finished, else 2. whole: whether the last job was reached."""
         from conf import gallery
 
+        if not any(self.folder.glob("*/status.json")):  # no job began: the command line was wrong
+            self._leave_nothing()
+            return 0
         known = json.loads((self.folder / "sweep.json").read_text()) | {"state": "failed" if whole else "stopped"}
         write_json(self.folder / "sweep.json", known)
-        results = collect([self.folder]) if any(self.folder.glob("*/status.json")) else None
-        missing = results.missing if results else []
-        if results:
-            for said in _alike(missing):
-                print(said, file=sys.stderr)
-            print(gallery.write(results, self.folder))
-        if missing and whole:
+        results = collect([self.folder])
+        for said in _alike(results.missing):
+            print(said, file=sys.stderr)
+        print(gallery.write(results, self.folder))
+        if results.missing and whole:
             print("the same command does what is missing again, and keeps the finished jobs", file=sys.stderr)
-        if results and whole and not missing:
+        elif whole:
             write_json(self.folder / "sweep.json", known | {"state": "finished", "jobs": len(results.jobs)})
         self.lock.release()
-        return 2 if missing else 0
+        return 2 if results.missing else 0
+
+    def _leave_nothing(self) -> None:
+        self.lock.release()
+        for ours in ("sweep.json", ".lock"):
+            (self.folder / ours).unlink(missing_ok=True)
+        with suppress(OSError):  # what others put there stays
+            self.folder.rmdir()
+            self.folder.parent.rmdir()
 
 
 def settings_key(cfg: DictConfig) -> str:

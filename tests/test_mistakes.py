@@ -18,6 +18,7 @@ def said_of(*arguments):
 
 
 @pytest.mark.parametrize("arguments, said", [
+    (["experiment=curve/angel"], "there is no experiment=curve/angel: did you mean curve/angle"),
     (["experiment=leters"], "there is no experiment=leters: did you mean letters?"),
     (["teach.denisty.hidden=3"], "there is no setting teach.denisty.hidden: did you mean teach.density.hidden"),
     (["world=board", "world.motion.leter=B"], "there is no setting world.motion.leter: did you mean world.motion.letter"),

@@ -131,6 +131,10 @@ def test_failed_jobs_of_other_code_are_run_again_where_their_folder_is_named(lau
     assert began(tmp_path) == ["0", "1", "0", "1", "1"] and "2 of 2 jobs finished" in (sweep / "table.md").read_text()
 
 
+def test_a_command_line_that_is_wrong_leaves_no_folder(launch, tmp_path):
+    assert launch("-m", "experiment=tabel1").returncode == 2 and not (tmp_path / "runs" / "tabel1").exists()
+
+
 def test_the_table_of_a_killed_sweep_says_that_jobs_did_not_begin(launch, tmp_path):
     (tmp_path / "kill1").touch()
     launch("-m", "seed=0,1,2,3")
