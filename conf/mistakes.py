@@ -54,6 +54,13 @@ def check_launcher(arguments: list[str]) -> None:
                          "or try it here with hydra/launcher=submitit_local")  # fmt: skip
 
 
+def check_experiment(arguments: list[str]) -> None:
+    """Raise ValueError where two experiments are asked for: Hydra would take the last."""
+    named = [argument for argument in arguments if argument.startswith("experiment=")]
+    if len(named) > 1:
+        raise ValueError(f"{' and '.join(named)} contradict each other: name one experiment")
+
+
 def check_seeds(cfg: DictConfig) -> None:
     """Raise ValueError where a seed is no whole number from 0 on: before minutes are spent on what comes first."""
     for key in SEEDS:

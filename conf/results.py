@@ -85,7 +85,7 @@ class Results:
                 settings = tuple((key, job.settings.get(key, "")) for key in configured) + ((("method", method),) if method else ())
                 figures = [factor * job.figures.get(variant(path, prefix), np.nan) for path, factor in self.columns.values()]
                 figures = [value if np.isfinite(value) else np.nan for value in figures]
-                if job.state == "finished" and not np.isnan(figures).all():
+                if job.state == "finished" and any(variant(path, prefix) in job.figures for path, _ in self.columns.values()):
                     groups.setdefault(settings, []).append((figures, job.sketches))
         return [Row(dict(settings), np.array([f for f, _ in found]), tuple(s for _, s in found)) for settings, found in groups.items()]
 
@@ -110,8 +110,17 @@ def collect(folders: Sequence[Path]) -> Results:
     if not specs:
         raise ValueError(f"no job of a sweep lies in {', '.join(map(str, folders))}: give runs/<experiment>/<time>")
     measured = {path for job in jobs for path in job.figures}
-    states = {folder: read_json(folder / "sweep.json", "").get("state") for folder in folders if (folder / "sweep.json").exists()}
-    return replace(read_by(specs[0], jobs, measured), stopped=tuple(folder for folder, state in states.items() if state in ("running", "stopped")))
+    stopped = tuple(folder for folder in folders if sweep_of(folder).get("state") in ("running", "stopped"))
+    return replace(read_by(specs[0], jobs, measured), stopped=stopped)
+
+
+def sweep_of(folder: Path) -> dict:
+    """What sweep.json says of a folder; nothing where there is none. Raises ValueError where no sweep wrote it."""
+    path = folder / "sweep.json"
+    begun = read_json(path, "") if path.exists() else {}
+    if not isinstance(begun, dict) or not isinstance(begun.get("key", {}), dict):
+        raise ValueError(f"{path} is not what a sweep writes: move it away")
+    return begun
 
 
 def read_by(spec: dict, jobs: tuple[JobResult, ...], measured: set[str]) -> Results:

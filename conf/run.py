@@ -21,7 +21,7 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from conf import rerun
-from conf.mistakes import check_launcher, check_seeds, explained, was_killed
+from conf.mistakes import check_experiment, check_launcher, check_seeds, explained, was_killed
 from conf.results import figures_of
 from conf.stages import Job, write_json
 from conf.sweep import Sweep, is_finished, kills_of, settings_key
@@ -53,6 +53,7 @@ def launch(task, *overrides: str) -> int:
     sweep, whole = None, False
     try:
         check_launcher(sys.argv[1:])
+        check_experiment(sys.argv[1:])
         sys.argv[1:] = rerun.expanded(sys.argv[1:])
         sweep = Sweep.begin(sys.argv[1:], lambda: _git("rev-parse", "HEAD"))
         if sweep is not None:

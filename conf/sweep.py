@@ -20,9 +20,12 @@ from pathlib import Path
 from filelock import FileLock, Timeout
 from omegaconf import DictConfig, OmegaConf
 
-from conf.results import JobResult, collect
+from conf.results import JobResult, collect, sweep_of
 from conf.stages import status_of, write_json
-from scene.files import read_json
+
+
+QUESTIONS = {"--cfg", "-c", "--info", "-i", "--help", "-h", "--hydra-help", "--version"}
+"""Options with which Hydra answers, and runs nothing."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +41,7 @@ class Sweep:
 
         commit(): of the code; other code begins anew, since results of both do not belong in one table.
         """
-        if not {"-m", "--multirun"} & set(arguments):
+        if not {"-m", "--multirun"} & set(arguments) or QUESTIONS & set(arguments):
             return None
         key = {"arguments": arguments, "git": commit()}
         folder = _chosen(arguments, key) or _unfinished(key) or _new(arguments)
@@ -56,7 +59,7 @@ class Sweep:
         if not any(self.folder.glob("*/status.json")):  # no job began: the command line was wrong
             self._leave_nothing()
             return 0
-        known = json.loads((self.folder / "sweep.json").read_text()) | {"state": "failed" if whole else "stopped"}
+        known = sweep_of(self.folder) | {"state": "failed" if whole else "stopped"}
         write_json(self.folder / "sweep.json", known)
         results = collect([self.folder])
         for said in _alike(results.missing):
@@ -112,7 +115,7 @@ def _chosen(arguments: list[str], key: dict) -> Path | None:
         return None
     folder = Path(chosen[-1]).resolve()
     if (folder / "sweep.json").exists():
-        there = _asked(read_json(folder / "sweep.json", "").get("key", {}))
+        there = _asked(sweep_of(folder).get("key", {}))
         if there != _asked(key):
             raise ValueError(f"{folder} holds the sweep of {' '.join(sorted(there)) or 'the shipped settings'}, whose jobs these would overwrite: "
                              "choose another hydra.sweep.dir")  # fmt: skip
@@ -129,7 +132,7 @@ def _asked(key: dict) -> set[str]:
 def _unfinished(key: dict) -> Path | None:
     """The newest sweep of this command, if some of its jobs did not finish, nobody runs it now and the code is the same."""
     for path in sorted(Path("runs").glob("*/*/sweep.json"), key=lambda path: path.stat().st_mtime, reverse=True):
-        begun = read_json(path, "")
+        begun = sweep_of(path.parent)
         if begun.get("key", {}).get("arguments") == key["arguments"]:
             lock = None if _is_whole(path.parent, begun) else _lock(path.parent)
             if lock is None:

@@ -5,7 +5,7 @@ from hydra import compose, initialize_config_module
 from hydra.core.global_hydra import GlobalHydra
 from omegaconf import OmegaConf
 
-from conf.mistakes import check_seeds, explained
+from conf.mistakes import check_experiment, check_seeds, explained
 
 
 def said_of(*arguments):
@@ -28,6 +28,11 @@ def said_of(*arguments):
 def test_names_that_there_are_not_are_told_with_those_that_were_perhaps_meant(arguments, said):
     found = said_of(*arguments)
     assert found.startswith(said) and "\n" not in found
+
+
+def test_two_experiments_contradict_each_other():
+    with pytest.raises(ValueError, match="experiment=curve and experiment=ablation contradict"):
+        check_experiment(["-m", "experiment=curve", "seed=0", "experiment=ablation"])
 
 
 def test_what_a_part_says_of_its_settings_is_said_without_hydras_frame():
