@@ -23,7 +23,6 @@ from omegaconf import DictConfig, OmegaConf
 from conf.results import JobResult, collect, sweep_of
 from conf.stages import status_of, write_json
 
-
 QUESTIONS = {"--cfg", "-c", "--info", "-i", "--help", "-h", "--hydra-help", "--version"}
 """Options with which Hydra answers, and runs nothing."""
 
