@@ -10,7 +10,7 @@ import numpy as np
 
 from conf import growth, short
 from conf.report import STYLE
-from conf.results import JobResult, Results, cells, comparisons, interval, markdown
+from conf.results import JobResult, Results, cells, comparisons, interval, markdown, yes_or_no
 from scene.files import replacing
 
 SORTS = """
@@ -54,9 +54,10 @@ def table_of(results: Results) -> str:
 
 
 def _page(results: Results, folder: Path) -> str:
+    title = html.escape(results.jobs[0].settings.get("experiment", folder.parent.name))
     parts = [
         f'<!doctype html><html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
-        f"<title>{html.escape(folder.parent.name)}</title><style>{STYLE}{LOOK}</style></head><body><h1>{html.escape(folder.parent.name)}</h1>",
+        f"<title>{title}</title><style>{STYLE}{LOOK}</style></head><body><h1>{title}</h1>",
         "<ul>" + "".join(f"<li>{html.escape(note)}" for note in results.notes) + "</ul>",
     ]
     if results.rows:
@@ -85,6 +86,7 @@ def plots(results: Results, folder: Path) -> list[Path]:
         number = growth.number(results.rows)
         _curves(axes, results, column, number) if number else _dots(axes, results, column)
         axes.set(**{("ylabel" if number else "xlabel"): name})
+        axes.set_title(f"mean and its 95 % interval{'' if number else '; grey: each job'}", fontsize=8, loc="left")
         if number and results.growth:
             axes.set(xscale="log", yscale="log")
         axes.grid(alpha=0.3, which="both" if results.growth else "major")
@@ -96,6 +98,7 @@ def plots(results: Results, folder: Path) -> list[Path]:
 
 def _curves(axes, results: Results, column: int, key: str) -> None:
     groups: dict[tuple, list] = {}
+    means = []
     for row in results.rows:
         groups.setdefault(tuple(v for k, v in row.settings.items() if k != key), []).append(row)
     for label, rows in groups.items():
@@ -104,9 +107,20 @@ def _curves(axes, results: Results, column: int, key: str) -> None:
         mean, _, _, low, high = np.array([interval(row.values[:, column]) for row in rows]).T
         axes.plot(x, mean, marker="o", label=", ".join(label))
         axes.fill_between(x, low, high, alpha=0.2)
+        means += [*mean]
     axes.set_xlabel(key)
+    _not_for_the_band(axes, np.array(means), results.growth)
     if len(groups) > 1:
         axes.legend()
+
+
+def _not_for_the_band(axes, means: np.ndarray, logarithmic: bool) -> None:
+    """The interval of two or three repetitions may be many times the means: these have the picture's height, and half as much on either side."""
+    low, high = np.nanmin(means), np.nanmax(means)
+    if logarithmic or not high > low:
+        return
+    bottom, top = axes.get_ylim()
+    axes.set_ylim(max(bottom, low - (high - low) / 2), min(top, high + (high - low) / 2))
 
 
 def _dots(axes, results: Results, column: int) -> None:
@@ -117,6 +131,8 @@ def _dots(axes, results: Results, column: int) -> None:
         axes.errorbar(mean, i, xerr=[[mean - low], [high - mean]] if n > 1 else None, fmt="o", color="C0", capsize=3)
     axes.set_yticks(range(len(results.rows)), [", ".join(row.settings.values()) for row in results.rows])
     axes.invert_yaxis()
+    if all(yes_or_no(row.values[:, column]) for row in results.rows):
+        axes.set_xlim(-0.03, 1.03)
 
 
 def _list(title: str, sentences) -> str:
@@ -136,9 +152,9 @@ def _job(results: Results, job: JobResult, folder: Path) -> str:
     there = [name for name in results.pictures if (job.folder / "figures" / f"{name}.png").exists()]
     shown = "".join(f'<img loading=lazy alt="{html.escape(name)}, {said}" src="{where}/figures/{html.escape(name)}.png">' for name in there)
     page = "report.html" if (job.folder / "report.html").exists() else ""
-    link = f'<a href="{where}/{page}">{said}</a>'
+    link = f'<a href="{where}/{page}">{shown}<p>{said}</p></a>'
     failed = "" if job.state == "finished" else f"<p class=failed>{html.escape(job.state)}: {html.escape(job.error)}"
-    return f"<li>{shown}<p>{link}</p>{failed}"
+    return f"<li>{link}{failed}"
 
 
 def _line(results: Results, job: JobResult) -> dict:

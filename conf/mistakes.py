@@ -4,6 +4,7 @@ import re
 import shutil
 from collections.abc import Sequence
 from difflib import get_close_matches
+from pathlib import Path
 
 from hydra import compose, initialize_config_module
 from hydra.core.global_hydra import GlobalHydra
@@ -35,7 +36,9 @@ def explained(error: Exception, arguments: Sequence[str] = ()) -> str:
         group, _, name = (error.missing_cfg_file or "").rpartition("/")
         if group in ("hydra/launcher", "hydra/sweeper") and (extra := PLUGINS.get(name.partition("_")[0])):
             return f"{group}={name} is an extra: pip install 'scene2skill[{extra}]'"
-        return f"there is no {group}={name}{_nearest(name, error.options)}; there are {', '.join(error.options)}"
+        above = next((key for key, _, value in (a.lstrip("+").partition("=") for a in arguments) if f"{key}/{value}" == f"{group}/{name}"), group)
+        name = f"{group}/{name}".removeprefix(f"{above}/")
+        return f"there is no {above}={name}{_nearest(name, _options(above, error.options))}; there are {', '.join(error.options)}"
     unknown = UNKNOWN_KEY.search(words) if isinstance(error, HydraException) else None
     if unknown and (swept := _contradiction(unknown[1], arguments)):
         return swept
@@ -49,6 +52,13 @@ def check_launcher(arguments: list[str]) -> None:
     if "hydra/launcher=submitit_slurm" in arguments and shutil.which("srun") is None:
         raise ValueError("hydra/launcher=submitit_slurm needs SLURM, and there is no srun on this machine: start it on the cluster's login node, "
                          "or try it here with hydra/launcher=submitit_local")  # fmt: skip
+
+
+def check_experiment(arguments: list[str]) -> None:
+    """Raise ValueError where two experiments are asked for: Hydra would take the last."""
+    named = [argument for argument in arguments if argument.startswith("experiment=")]
+    if len(named) > 1:
+        raise ValueError(f"{' and '.join(named)} contradict each other: name one experiment")
 
 
 def check_seeds(cfg: DictConfig) -> None:
@@ -76,6 +86,12 @@ def was_killed(error: Exception) -> bool:
 def _nearest(name: str, names: list[str]) -> str:
     near = get_close_matches(name, names, n=3, cutoff=0.6)
     return f": did you mean {' or '.join(near)}?" if near else ""
+
+
+def _options(group: str, listed: Sequence[str]) -> list[str]:
+    """The options of a group, with those of its folders: experiment=curve/angle is one."""
+    root = Path(__file__).parent / group
+    return [*listed, *(path.relative_to(root).with_suffix("").as_posix() for path in sorted(root.glob("*/*.yaml")))]
 
 
 def _keys(arguments: Sequence[str]) -> list[str]:

@@ -178,8 +178,10 @@ def _letter(job: Job, spec: dict, performed, chosen) -> dict:
     return {"letter": rated}
 
 
-def asked(job: Job) -> int | None:
-    """A person is asked anew each time; what the others draw follows from settings."""
+def asked(job: Job) -> int | str | None:
+    """A person is asked anew each time, a file may have been changed; what the scripted user draws follows from settings."""
+    if job.cfg.user.kind == "files":
+        return hashlib.sha256(stored_sketches(job, job.cfg.user.file).read_bytes()).hexdigest()
     return time.time_ns() if job.cfg.user.kind == "page" else None
 
 

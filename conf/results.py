@@ -17,7 +17,7 @@ signed-rank test. How an experiment is read stands in its YAML:
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -61,6 +61,7 @@ class Results:
     growth: bool = False
     on_paper: dict | None = None
     pictures: tuple[str, ...] = ("overview",)
+    stopped: tuple[Path, ...] = ()
 
     @property
     def missing(self) -> list[JobResult]:
@@ -84,7 +85,7 @@ class Results:
                 settings = tuple((key, job.settings.get(key, "")) for key in configured) + ((("method", method),) if method else ())
                 figures = [factor * job.figures.get(variant(path, prefix), np.nan) for path, factor in self.columns.values()]
                 figures = [value if np.isfinite(value) else np.nan for value in figures]
-                if job.state == "finished" and not np.isnan(figures).all():
+                if job.state == "finished" and any(variant(path, prefix) in job.figures for path, _ in self.columns.values()):
                     groups.setdefault(settings, []).append((figures, job.sketches))
         return [Row(dict(settings), np.array([f for f, _ in found]), tuple(s for _, s in found)) for settings, found in groups.items()]
 
@@ -93,6 +94,7 @@ class Results:
         """What a reader must know of the figures."""
         finished = len(self.jobs) - len(self.missing)
         notes = [f"{finished} of {len(self.jobs)} jobs finished."]
+        notes += [f"{folder.name} was stopped, or still runs: jobs that did not begin are not counted; the same command goes on with it." for folder in self.stopped]
         which = lambda job: said({key: job.settings[key] for key in self.varied if key in job.settings})
         notes += [f"Missing: {job.folder.name} ({which(job)}): {job.state}, {job.error}" for job in self.missing]
         codes = {job.code for job in self.jobs}
@@ -108,7 +110,17 @@ def collect(folders: Sequence[Path]) -> Results:
     if not specs:
         raise ValueError(f"no job of a sweep lies in {', '.join(map(str, folders))}: give runs/<experiment>/<time>")
     measured = {path for job in jobs for path in job.figures}
-    return read_by(specs[0], jobs, measured)
+    stopped = tuple(folder for folder in folders if sweep_of(folder).get("state") in ("running", "stopped"))
+    return replace(read_by(specs[0], jobs, measured), stopped=stopped)
+
+
+def sweep_of(folder: Path) -> dict:
+    """What sweep.json says of a folder; nothing where there is none. Raises ValueError where no sweep wrote it."""
+    path = folder / "sweep.json"
+    begun = read_json(path, "") if path.exists() else {}
+    if not isinstance(begun, dict) or not isinstance(begun.get("key", {}), dict):
+        raise ValueError(f"{path} is not what a sweep writes: move it away")
+    return begun
 
 
 def read_by(spec: dict, jobs: tuple[JobResult, ...], measured: set[str]) -> Results:
@@ -164,7 +176,7 @@ def interval(values: np.ndarray) -> tuple[float, float, int, float, float]:
         mean = float(kept.mean()) if n else np.nan
         return mean, np.nan, n, np.nan, np.nan
     mean, std = kept.mean(), kept.std(ddof=1)
-    if np.isin(kept, (0, 1)).all():
+    if yes_or_no(kept):
         return float(mean), float(std), n, *binomtest(int(kept.sum()), n).proportion_ci(method="wilson")
     half = t.ppf(0.975, n - 1) * std / np.sqrt(n)
     return float(mean), float(std), n, float(mean - half), float(mean + half)
@@ -218,8 +230,15 @@ def _cells(row: Row, columns: int) -> list[str]:
     for column in range(columns):
         mean, std, n, low, high = interval(row.values[:, column])
         fewer = f" (n={n})" if n < len(row.values) else ""
-        cells += [(f"{mean:.3g} ± {std:.2g}" if n > 1 else f"{mean:.3g}") + fewer, f"{low:.3g} to {high:.3g}" if n > 1 else ""]
+        figure = f"{mean:.3g} ± {std:.2g}" if n > 1 else f"{mean:.3g}" if n else "-"
+        rate = n and yes_or_no(row.values[:, column])
+        cells += [f"{round(mean * n)} of {n}" if rate else figure + fewer, f"{low:.3g} to {high:.3g}" if n > 1 else ""]
     return cells
+
+
+def yes_or_no(values: np.ndarray) -> bool:
+    """Whether figures are of successes, 1 and 0; nan leaves out."""
+    return bool(np.isin(values[~np.isnan(values)], (0, 1)).all())
 
 
 def _job(folder: Path) -> JobResult:

@@ -21,7 +21,7 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from conf import rerun
-from conf.mistakes import check_launcher, check_seeds, explained, was_killed
+from conf.mistakes import check_experiment, check_launcher, check_seeds, explained, was_killed
 from conf.results import figures_of
 from conf.stages import Job, write_json
 from conf.sweep import Sweep, is_finished, kills_of, settings_key
@@ -50,14 +50,16 @@ def launch(task, *overrides: str) -> int:
         return _run_job(task, cfg)
 
     sys.argv[1:1] = overrides
-    sweep = None
+    sweep, whole = None, False
     try:
         check_launcher(sys.argv[1:])
+        check_experiment(sys.argv[1:])
         sys.argv[1:] = rerun.expanded(sys.argv[1:])
         sweep = Sweep.begin(sys.argv[1:], lambda: _git("rev-parse", "HEAD"))
         if sweep is not None:
             sys.argv.append(f"hydra.sweep.dir='{sweep.folder}'")
         hydra_main()
+        whole = True
     except KeyboardInterrupt:
         print("\nInterrupted. Finished stages are kept: the same command goes on from there.", file=sys.stderr)
         return 130
@@ -68,7 +70,7 @@ def launch(task, *overrides: str) -> int:
             raise
         return _report(MemoryError("the process of a job was killed, perhaps for want of memory; the same command goes on from there"))
     finally:
-        failed = sweep.end() if sweep is not None else 0
+        failed = sweep.end(whole) if sweep is not None else 0
     return failed
 
 

@@ -103,6 +103,13 @@ def test_the_ablation_sweeps_over_all_its_steps_in_order(config):
     assert [int(step.split("_")[0]) for step in STEPS] == list(range(len(STEPS)))
 
 
+def test_table_1_has_rendered_views_and_photographs_by_the_same_cameras(config):
+    rendered, photographs = (config("experiment=table1", "+experiment/table1=box", f"+experiment/pictures={name}") for name in ("rendered", "photographs"))
+    assert not rendered.scene.truth and photographs.scene.truth and photographs.stages == ["render", "sketch", "fit"]
+    assert rendered.user == photographs.user and rendered.world.sketch_views == photographs.world.sketch_views
+    assert rendered.hydra.sweeper.params["+experiment/pictures"] == "rendered,photographs"
+
+
 DEFAULT = next(step for step in STEPS if step.endswith("_default"))
 
 

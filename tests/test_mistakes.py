@@ -5,7 +5,7 @@ from hydra import compose, initialize_config_module
 from hydra.core.global_hydra import GlobalHydra
 from omegaconf import OmegaConf
 
-from conf.mistakes import check_seeds, explained
+from conf.mistakes import check_experiment, check_seeds, explained
 
 
 def said_of(*arguments):
@@ -18,6 +18,7 @@ def said_of(*arguments):
 
 
 @pytest.mark.parametrize("arguments, said", [
+    (["experiment=curve/angel"], "there is no experiment=curve/angel: did you mean curve/angle"),
     (["experiment=leters"], "there is no experiment=leters: did you mean letters?"),
     (["teach.denisty.hidden=3"], "there is no setting teach.denisty.hidden: did you mean teach.density.hidden"),
     (["world=board", "world.motion.leter=B"], "there is no setting world.motion.leter: did you mean world.motion.letter"),
@@ -27,6 +28,11 @@ def said_of(*arguments):
 def test_names_that_there_are_not_are_told_with_those_that_were_perhaps_meant(arguments, said):
     found = said_of(*arguments)
     assert found.startswith(said) and "\n" not in found
+
+
+def test_two_experiments_contradict_each_other():
+    with pytest.raises(ValueError, match="experiment=curve and experiment=ablation contradict"):
+        check_experiment(["-m", "experiment=curve", "seed=0", "experiment=ablation"])
 
 
 def test_what_a_part_says_of_its_settings_is_said_without_hydras_frame():

@@ -89,6 +89,34 @@ def test_what_is_missing_or_mixed_is_said(tmp_path):
     assert "2 (seed=2): did not come to its end, killed" in said and "2 versions of the code" in said and "MFD: 1 jobs have no figure" in said and "success: 1 jobs" in said
 
 
+def test_a_job_of_whose_only_figure_nothing_is_finite_is_said_too(tmp_path):
+    for i, mfd in enumerate((0.01, float("nan"), 0.03)):
+        job(tmp_path, i, [f"seed={i}"], {"teach": {"mfd": mfd}})
+    said = markdown(collect([tmp_path]))
+    assert "MFD: 1 jobs have no figure" in said and "| 3 | 2 ± 1.4 (n=2) |" in said
+    gallery.write(collect([tmp_path]), tmp_path)
+
+
+def test_a_row_without_a_finite_figure_has_a_dash(tmp_path):
+    job(tmp_path, 0, ["teach.noise=1"], {"teach": {"mfd": float("nan")}})
+    job(tmp_path, 1, ["teach.noise=2"], {"teach": {"mfd": 0.01}})
+    assert "| 1 | 1 | - (n=0) |" in markdown(collect([tmp_path]))
+    gallery.write(collect([tmp_path]), tmp_path)
+
+
+def test_how_often_something_succeeded_is_counted(tmp_path):
+    for i in range(4):
+        job(tmp_path, i, [f"seed={i}"], {"execute": {"success": i > 0}})
+    assert "| 4 | 3 of 4 | 0.301 to 0.954 |" in markdown(collect([tmp_path]))
+
+
+def test_a_file_that_no_sweep_wrote_is_named(tmp_path):
+    job(tmp_path, 0, ["seed=0"], {"teach": {"mfd": 0.01}})
+    (tmp_path / "sweep.json").write_text("[]")
+    with pytest.raises(ValueError, match="not what a sweep writes"):
+        collect([tmp_path])
+
+
 def test_several_sweeps_make_one_table(tmp_path):
     job(tmp_path / "a", 0, ["teach/rptl=default"], {"teach": {"mfd": 0.01}})
     job(tmp_path / "b", 0, ["teach/rptl=paper"], {"teach": {"mfd": 0.02}})

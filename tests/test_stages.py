@@ -7,6 +7,7 @@ import pytest
 from omegaconf import OmegaConf
 
 from conf import stages
+from conf.motion_stages import asked
 from conf.stages import Job, Record, Stage
 
 
@@ -30,6 +31,16 @@ def counting(name="count", **kwargs):
 
 def close(job, state):
     stages.write_json(job.run / "status.json", {"state": state, "capture": str(job.capture)})
+
+
+def test_a_sketch_file_that_was_mended_is_read_anew(tmp_path):
+    file = tmp_path / "reach.json"
+    one = job(tmp_path, user={"kind": "files", "file": str(file)})
+    file.write_text("broken")
+    before = asked(one)
+    assert asked(one) == before
+    file.write_text("whole")
+    assert asked(one) != before
 
 
 def test_a_shared_stage_is_done_once_for_equal_settings(tmp_path):

@@ -5,12 +5,15 @@ The jobs are real jobs of Hydra with a short task of the test's own in place of 
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+
+from conf.results import collect, markdown
 
 TASK = """
 import json, os, signal, sys, time
@@ -107,9 +110,54 @@ def test_a_failed_job_lets_the_others_go_on_and_is_named(launch, tmp_path):
     assert began(tmp_path)[4:] == ["0", "1", "2"]  # a finished sweep begins anew
 
 
+def test_a_finished_sweep_that_lost_a_job_runs_that_alone(launch, tmp_path):
+    launch("-m", "seed=0,1,2")
+    (sweep,) = sweeps(tmp_path)
+    table = (sweep / "table.md").read_text()
+    shutil.rmtree(sweep / "1")
+    assert "going on with" in launch("-m", "seed=0,1,2").stdout
+    assert began(tmp_path) == ["0", "1", "2", "1"] and sweeps(tmp_path) == [sweep] and (sweep / "table.md").read_text() == table
+
+
+def test_failed_jobs_of_other_code_are_run_again_where_their_folder_is_named(launch, tmp_path):
+    (tmp_path / "fail1").touch()
+    assert "the same command does what is missing again" in launch("-m", "seed=0,1").stderr
+    (tmp_path / "fail1").unlink()
+    (sweep,) = sweeps(tmp_path)
+    begun = json.loads((sweep / "sweep.json").read_text())
+    (sweep / "sweep.json").write_text(json.dumps(begun | {"key": begun["key"] | {"git": "another"}}))
+    assert f"of other code: hydra.sweep.dir={sweep.relative_to(tmp_path)} goes on with it" in launch("-m", "seed=0,1").stdout
+    assert launch("-m", "seed=0,1", f"hydra.sweep.dir={sweep}").returncode == 0
+    assert began(tmp_path) == ["0", "1", "0", "1", "1"] and "2 of 2 jobs finished" in (sweep / "table.md").read_text()
+
+
+def test_a_command_line_that_is_wrong_leaves_no_folder(launch, tmp_path):
+    assert launch("-m", "experiment=tabel1").returncode == 2 and not (tmp_path / "runs" / "tabel1").exists()
+
+
+def test_the_table_of_a_killed_sweep_says_that_jobs_did_not_begin(launch, tmp_path):
+    (tmp_path / "kill1").touch()
+    launch("-m", "seed=0,1,2,3")
+    (sweep,) = sweeps(tmp_path)
+    assert f"{sweep.name} was stopped, or still runs" in markdown(collect([sweep]))
+
+
+@pytest.mark.parametrize("there", ["sweep", "letter"])
+def test_what_lies_in_the_chosen_folder_is_not_overwritten(launch, tmp_path, there):
+    if there == "sweep":
+        launch("-m", "seed=0,1", "hydra.sweep.dir=runs/mine")
+    else:
+        (tmp_path / "runs" / "mine").mkdir(parents=True)
+        (tmp_path / "runs" / "mine" / "letter.txt").write_text("Dear")
+    refused = launch("-m", "seed=5,6", "hydra.sweep.dir=runs/mine")
+    said = "holds the sweep of seed=0,1" if there == "sweep" else "is no folder of a sweep and not empty"
+    assert refused.returncode == 2 and said in refused.stderr and "Traceback" not in refused.stderr
+    assert "5" not in began(tmp_path)
+
+
 def test_jobs_that_failed_alike_are_named_in_one_line(launch, tmp_path):
     said = launch("-m", "seed=-1,abc,3", "teach.basis.count=10,20").stderr
-    assert said.splitlines() == [f"jobs {jobs} failed: seed={seed} is no seed: give a whole number from 0 on" for jobs, seed in (("0, 1", -1), ("2, 3", "abc"))]
+    assert said.splitlines()[:-1] == [f"jobs {jobs} failed: seed={seed} is no seed: give a whole number from 0 on" for jobs, seed in (("0, 1", -1), ("2, 3", "abc"))]
     assert began(tmp_path) == ["3", "3"]
 
 
