@@ -47,6 +47,7 @@ def film(
     fps: None is the path's own, or 24. only_missing: keep pictures that the same camera took of the same field.
     save_video(file, pictures, fps) writes ``<folder>.mp4``. frame: as in scene.dataset.save_views.
     """
+    _refuse_words(width=width, height=height, fov_deg=fov_deg, near=near, far=far, fps=fps)
     if near < 0 or (far is not None and far <= near):
         raise ValueError(f"near must not be negative and far must lie beyond it, not {near} and {far}")
     fps = fps or path.fps or 24.0
@@ -69,6 +70,13 @@ def film(
     if save_video is not None:
         save_video(folder.with_name(f"{folder.name}.mp4"), Pictures([folder / f"{name}.png" for name in cameras]), fps)
     return {"frames": len(cameras), "rendered": rendered}
+
+
+def _refuse_words(**settings):
+    """Raise ValueError for what is neither a number nor None."""
+    for name, value in settings.items():
+        if value is not None and not isinstance(value, (int, float)):
+            raise ValueError(f"{name} must be a number, not {value!r}")
 
 
 class Pictures(Sequence):

@@ -46,7 +46,7 @@ def test_a_killed_film_goes_on_with_what_is_missing(tmp_path):
 
 
 OTHER = [{"identity": "b"}, {"near": 0.5}, {"far": 3.0}, {"width": 16}, {"fov_deg": 40}, {"only_missing": False}]
-IMPOSSIBLE = [{"near": -1}, {"near": 2, "far": 1}, {"fps": -3}, {"width": 0}, {"height": -2}, {"fov_deg": 180}]
+IMPOSSIBLE = [{"near": -1}, {"near": 2, "far": 1}, {"fps": -3}, {"width": 0}, {"height": -2}, {"fov_deg": 180}, {"width": "abc"}, {"near": "1 m"}]
 
 
 @pytest.mark.parametrize("change", OTHER)
