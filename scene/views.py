@@ -153,7 +153,7 @@ def is_whole(folder: Path, name: str, depth: bool = True) -> bool:
 
 
 def save_depth(folder: Path, name: str, metres: np.ndarray, confidence: np.ndarray):
-    """Write a view's depth (h, w) [m along the optical axis, nan where nothing is hit] and its confidence (h, w) in [0, 1]."""
+    """Write a view's depth (h, w) [m along the optical axis, nan: nothing is hit], its confidence (h, w) in [0, 1]."""
     with replacing(depth_path(folder, name)) as temporary:
         np.save(temporary, metres.astype(np.float32))
     grey = np.round(255 * np.clip(confidence, 0, 1)).astype(np.uint8)
@@ -183,7 +183,8 @@ def load_confidences(folder: Path, cameras: dict[str, Camera]) -> dict[str, np.n
 def _sure(depth: np.ndarray, confidence: np.ndarray, least: float, view: Path) -> np.ndarray:
     """The depth that is as sure as asked, else nan."""
     if depth.shape != confidence.shape:
-        raise ValueError(f"{view}: depth of {depth.shape} and confidence of {confidence.shape} are of different pictures; render the view again")
+        sizes = f"depth of {depth.shape} and confidence of {confidence.shape}"
+        raise ValueError(f"{view}: {sizes} are of different pictures; render the view again")
     return np.where(confidence >= least, depth, np.float32(np.nan))
 
 
