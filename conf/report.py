@@ -36,7 +36,7 @@ def write_report(job: Job) -> Path:
     metrics = json.loads((job.run / "metrics.json").read_text())
     page = _Page(job)
     parts = [_head(job, metrics)]
-    for section in (_photographs, _field, _sketches, _learned, _planned, _performed):
+    for section in (_photographs, _field, _surface, _sketches, _learned, _planned, _performed):
         parts += section(page, metrics)
     parts += ["<h2>All figures</h2>", _table(metrics), "</body></html>"]
     path = job.run / "report.html"
@@ -57,6 +57,9 @@ class _Page:
     def picture(self, name: str, figure, caption: str) -> str:
         path = self.figures / f"{name}.png"
         figure.savefig(path, dpi=110)
+        return self.image(path, caption)
+
+    def image(self, path: Path, caption: str) -> str:
         return f'<figure><img alt="{html.escape(caption)}" src="{_embed(path, "image/png")}"><figcaption>{html.escape(caption)}</figcaption></figure>'
 
     def video(self, path: Path, caption: str) -> str:
@@ -113,6 +116,16 @@ def _field(page: _Page, metrics: dict) -> list[str]:
         parts.append(page.picture(f"held_out{i}", figure, f"{path.stem}: held out, rendered, and its depth."))
     orbit = page.capture / "views" / "orbit.mp4"
     return parts + ([page.video(orbit, "An orbit rendered from the field.")] if orbit.exists() else [])
+
+
+def _surface(page: _Page, metrics: dict) -> list[str]:
+    """The mesh, if one was made of the field that is shown: of another one it is not of this job."""
+    drawn = page.capture / "mesh.png"
+    if "surface" not in metrics or not drawn.exists():
+        return []
+    text = "{triangles} triangles, {pieces} convex pieces for planning; of the space around, {free:.0%} is free and {unseen:.0%} unseen."
+    return ["<h2>Its surface</h2>", f"<p>{text.format(**metrics['surface'])}</p>",
+            page.image(drawn, "The mesh, drawn in its colours from where an orbit around the photographs' focus begins.")]  # fmt: skip
 
 
 def _sketches(page: _Page, metrics: dict) -> list[str]:

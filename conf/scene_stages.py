@@ -149,14 +149,14 @@ def true_views(job: Job, out: Path) -> dict:
     from robot.world import World
     from scene.camera import View
     from scene.dataset import save_image, save_views
-    from scene.views import depth_path
+    from scene.views import save_depth
 
     views = []
     with World.from_spec(job.settings("world")) as world:
         for name, camera in setting(job, "scene.views")([], world.spec["sketch_views"], orbit=0).sketch.items():
             image, depth = world.photograph_with_depth(camera)
             save_image(out / "views" / f"{name}.png", image)
-            np.save(depth_path(out / "views", name), depth.astype(np.float32))
+            save_depth(out / "views", name, depth, np.isfinite(depth))
             views.append(View(name, camera, image))
     save_views(out / "views", views, images=".", frame={"name": "robot base", "unit": "metre"})
     return {"views": len(views)}

@@ -1,7 +1,8 @@
 """A camera path becomes pictures, depth and a video, in a folder that goes on where a killed job stopped.
 
-    <folder>/<name>.png  <name>_depth.npy     picture; depth, float32 [m along z], nan where nothing is hit
-             <name>_depth.png                 if asked: the same, 16 bits, in millimetres, 0 where nothing is hit
+    <folder>/<name>.png  <name>_depth.npy     picture; depth, and how sure it is, as scene.views has them
+             <name>_confidence.png
+             <name>_depth.png                 if asked: depth in 16 bits, in millimetres, 0 where nothing is hit
              transforms.json                  the cameras (nerfstudio's), written when all pictures are there
              planned.json                     what the pictures are of: those of another path or field are made anew
 """
@@ -17,7 +18,7 @@ from scene.camera import Camera
 from scene.dataset import load_image, save_cameras
 from scene.files import replacing
 from scene.paths import CameraPath
-from scene.views import depth_path, render
+from scene.views import depth_path, is_whole, render
 
 
 def film(
@@ -46,6 +47,7 @@ def film(
     fps: None is the path's own, or 24. only_missing: keep pictures that the same camera took of the same field.
     save_video(file, pictures, fps) writes ``<folder>.mp4``. frame: as in scene.dataset.save_views.
     """
+    _refuse_words(width=width, height=height, fov_deg=fov_deg, near=near, far=far, fps=fps)
     if near < 0 or (far is not None and far <= near):
         raise ValueError(f"near must not be negative and far must lie beyond it, not {near} and {far}")
     fps = fps or path.fps or 24.0
@@ -60,7 +62,7 @@ def film(
         temporary.write_text(json.dumps(planned), encoding="utf-8")
     rendered = 0
     for name, camera in progress(cameras.items()):
-        rendered += not _is_whole(folder, name, depth)
+        rendered += not is_whole(folder, name, depth)
         render(field, {name: camera}, folder, depth=depth, near=near, far=far)
         if depth and depth_png:
             save_depth_png(folder / f"{name}_depth.png", np.load(depth_path(folder, name), allow_pickle=False))
@@ -68,6 +70,13 @@ def film(
     if save_video is not None:
         save_video(folder.with_name(f"{folder.name}.mp4"), Pictures([folder / f"{name}.png" for name in cameras]), fps)
     return {"frames": len(cameras), "rendered": rendered}
+
+
+def _refuse_words(**settings):
+    """Raise ValueError for what is neither a number nor None."""
+    for name, value in settings.items():
+        if value is not None and not isinstance(value, (int, float)):
+            raise ValueError(f"{name} must be a number, not {value!r}")
 
 
 class Pictures(Sequence):
@@ -119,12 +128,8 @@ def _clear(folder: Path, planned: dict):
         earlier = {}
     for name in earlier if isinstance(earlier, dict) else ():
         if earlier[name] != planned.get(name):
-            for ending in (".png", "_depth.npy", "_depth.png"):
+            for ending in (".png", "_depth.npy", "_depth.png", "_confidence.png"):
                 (folder / f"{Path(name).name}{ending}").unlink(missing_ok=True)
-
-
-def _is_whole(folder: Path, name: str, depth: bool) -> bool:
-    return (folder / f"{name}.png").exists() and (depth_path(folder, name).exists() or not depth)
 
 
 def _plain(camera: Camera) -> list:

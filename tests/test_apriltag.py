@@ -113,7 +113,8 @@ BROKEN = {
     "tag 3: .*rigid": lambda c: c["tags"]["3"]["base_from_tag"][0].__setitem__(0, 5.0),
     "at least one tag": lambda c: c.update(tags={}),
     "tags 3 and 4 lie in the same place": lambda c: c.update(tags={"3": c["tags"]["3"], "4": c["tags"]["3"]}),
-    "tags.json": lambda c: c.update(tags=[1]),
+    "tags must be like": lambda c: c.update(tags=[1]),
+    "each number with its 4 x 4 pose": lambda c: c["tags"].update({"3": c["tags"]["3"]["base_from_tag"]}),
 }
 
 

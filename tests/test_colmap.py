@@ -227,7 +227,7 @@ def test_groups_that_share_no_photograph_are_said():
     best = found("abcde")
     groups = mapping._groups(best, [best, found("fghix"), found("aklm"), found("nop")])
     assert groups == [4, 3]
-    found_pairs = {"pairs": 0, "features": 0}
+    found_pairs = {"pairs": 0, "features": 900}
     assert "groups of 5, 4, 3 that show nothing in common" in mapping._advice(20, 5, found_pairs, groups)
     assert mapping._groups(None, []) == [] and "only 0 of 20" in mapping._advice(20, 0, found_pairs, [])
 
@@ -235,7 +235,16 @@ def test_groups_that_share_no_photograph_are_said():
 def test_pictures_without_texture_are_refused(tmp_path):
     for i in range(3):
         dataset.save_image(tmp_path / "photographs" / f"{i}.png", np.full((120, 160, 3), 90 + i, np.uint8))
-    with pytest.raises(colmap.ReconstructionFailed, match="only 0 of 3.*0 features"):
+    with pytest.raises(colmap.ReconstructionFailed, match="only 0 of 3.*0 of 3 pairs.*0 features.*texture on or around"):
+        colmap.reconstruct(dataset.load_photographs(tmp_path / "photographs"), tmp_path, progress=False)
+
+
+def test_near_duplicates_are_refused_as_taken_from_one_place(tmp_path):
+    picture, rng = texture(5, 240, 180), np.random.default_rng(0)
+    for i in range(5):
+        noisy = np.clip(picture + rng.normal(0, 1, picture.shape), 0, 255).astype(np.uint8)
+        dataset.save_image(tmp_path / "photographs" / f"{i}.png", noisy)
+    with pytest.raises(colmap.ReconstructionFailed, match="only 0 of 5.*10 of 10 pairs.*walk around the scene"):
         colmap.reconstruct(dataset.load_photographs(tmp_path / "photographs"), tmp_path, progress=False)
 
 

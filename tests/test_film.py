@@ -3,32 +3,20 @@
 import cv2
 import numpy as np
 import pytest
+from fields import Painter
 
 from robot.execution import save_video
 from scene.camera import Camera, orbit
 from scene.dataset import load_frame, load_views
 from scene.film import Pictures, film, save_depth_png, shaped
 from scene.paths import CameraPath
-from scene.views import load_depths
+from scene.views import load_confidences, load_depths
 
 CAMERAS = [Camera.from_fov(pose, 32, 24, 55) for pose in orbit((0, 0, 0), 1, 20, 4)]
 PATH = CameraPath({f"{i:04d}": camera for i, camera in enumerate(CAMERAS)})
 
 
-class Painter:
-    """Stands for a field: remembers what it painted, and is killed before a picture."""
-
-    def __init__(self, lives=99):
-        self.lives, self.painted, self.limits = lives, [], None
-
-    def render(self, camera, **limits):
-        if not self.lives:
-            raise KeyboardInterrupt
-        self.lives -= 1
-        self.painted.append(camera)
-        self.limits = limits
-        image = np.full((camera.height, camera.width, 3), 40 * len(self.painted) % 256, np.uint8)
-        return image, np.full((camera.height, camera.width), 2.5, np.float32)
+COLOURS = (40, 80, 120, 160)
 
 
 def test_a_film_is_pictures_depth_cameras_and_a_video(tmp_path):
@@ -40,6 +28,7 @@ def test_a_film_is_pictures_depth_cameras_and_a_video(tmp_path):
     assert load_frame(tmp_path / "orbit")["name"] == "robot base"
     depths = load_depths(tmp_path / "orbit", PATH.cameras)
     assert len(depths) == 4 and all(d.dtype == np.float32 and (d == 2.5).all() for d in depths.values())
+    assert all((sure == 1).all() for sure in load_confidences(tmp_path / "orbit", PATH.cameras).values())
     assert (cv2.imread(str(tmp_path / "orbit" / "0002_depth.png"), cv2.IMREAD_UNCHANGED) == 2500).all()
     video = cv2.VideoCapture(str(tmp_path / "orbit.mp4"))
     assert video.get(cv2.CAP_PROP_FRAME_COUNT) == 4 and video.get(cv2.CAP_PROP_FPS) == 24
@@ -48,7 +37,7 @@ def test_a_film_is_pictures_depth_cameras_and_a_video(tmp_path):
 def test_a_killed_film_goes_on_with_what_is_missing(tmp_path):
     with pytest.raises(KeyboardInterrupt):
         film(Painter(lives=2), PATH, tmp_path, identity="a")
-    assert not (tmp_path / "transforms.json").exists() and len(list(tmp_path.glob("*.png"))) == 2
+    assert not (tmp_path / "transforms.json").exists() and len(list(tmp_path.glob("*_depth.npy"))) == 2
     again = Painter()
     assert film(again, PATH, tmp_path, identity="a") == {"frames": 4, "rendered": 2}
     assert [c is d for c, d in zip(again.painted, CAMERAS[2:], strict=True)] == [True, True]
@@ -57,7 +46,7 @@ def test_a_killed_film_goes_on_with_what_is_missing(tmp_path):
 
 
 OTHER = [{"identity": "b"}, {"near": 0.5}, {"far": 3.0}, {"width": 16}, {"fov_deg": 40}, {"only_missing": False}]
-IMPOSSIBLE = [{"near": -1}, {"near": 2, "far": 1}, {"fps": -3}, {"width": 0}, {"height": -2}, {"fov_deg": 180}]
+IMPOSSIBLE = [{"near": -1}, {"near": 2, "far": 1}, {"fps": -3}, {"width": 0}, {"height": -2}, {"fov_deg": 180}, {"width": "abc"}, {"near": "1 m"}]
 
 
 @pytest.mark.parametrize("change", OTHER)
@@ -71,7 +60,7 @@ def test_of_a_path_that_changed_only_what_differs_is_rendered_and_what_is_left_o
     changed = CameraPath({"0000": CAMERAS[0], "0001": CAMERAS[3]})
     assert film(Painter(), changed, tmp_path, identity="a") == {"frames": 2, "rendered": 1}
     names = {path.name for path in tmp_path.iterdir()}
-    kept = {"0000.png", "0000_depth.npy", "0000_depth.png", "0001.png", "0001_depth.npy"}
+    kept = {"0000.png", "0000_depth.npy", "0000_confidence.png", "0000_depth.png", "0001.png", "0001_depth.npy", "0001_confidence.png"}
     assert names == kept | {"planned.json", "transforms.json"}
 
 
@@ -106,6 +95,6 @@ def test_depth_in_millimetres_has_nothing_where_nothing_is_hit(tmp_path):
 
 
 def test_pictures_are_read_one_at_a_time(tmp_path):
-    film(Painter(), PATH, tmp_path, identity="a")
+    film(Painter(colours=COLOURS), PATH, tmp_path, identity="a")
     pictures = Pictures([tmp_path / f"{i:04d}.png" for i in range(4)])
-    assert len(pictures) == 4 and [p[0, 0, 0] for p in pictures] == [40, 80, 120, 160] and pictures[1].shape == (24, 32, 3)
+    assert len(pictures) == 4 and [p[0, 0, 0] for p in pictures] == list(COLOURS) and pictures[1].shape == (24, 32, 3)

@@ -4,6 +4,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from fields import Painter
+from PIL import Image
 
 from scene import views
 from scene.camera import Camera, orbit
@@ -15,17 +17,6 @@ TARGET = np.array([0.4, -0.2, 0.3])
 
 def around(poses, width=640, height=480):
     return [Camera.from_fov(pose, width, height, 55) for pose in poses]
-
-
-class Painter:
-    """Stands for a field: paints the camera's height, and counts its pictures."""
-
-    def __init__(self):
-        self.pictures = 0
-
-    def render(self, camera, **limits):
-        self.pictures += 1
-        return np.full((camera.height, camera.width, 3), 7, np.uint8), np.full((camera.height, camera.width), 2.5, np.float32)
 
 
 def test_two_views_to_sketch_on_are_as_far_apart_as_asked_and_the_third_far_from_both():
@@ -47,7 +38,7 @@ def test_rendering_writes_picture_and_depth_and_goes_on_where_it_stopped(tmp_pat
     first, second = Painter(), Painter()
     views.render(first, {"a": cameras["a"]}, tmp_path)
     rendered = views.render(second, cameras, tmp_path)
-    assert (first.pictures, second.pictures) == (1, 2)
+    assert (len(first.painted), len(second.painted)) == (1, 2)
     assert [view.name for view in rendered] == list("abc") and (rendered[0].image == 7).all()
     assert np.load(tmp_path / "b_depth.npy") == pytest.approx(2.5)
 
@@ -57,9 +48,12 @@ def test_a_picture_without_its_depth_is_rendered_again_and_an_orbit_has_none(tmp
     views.render(Painter(), cameras, tmp_path, depth=False)
     assert [path.name for path in tmp_path.iterdir()] == ["a.png"]
     views.render(again, cameras, tmp_path, depth=False)
-    assert again.pictures == 0
+    assert not again.painted
     views.render(again, cameras, tmp_path)
-    assert again.pictures == 1 and sorted(path.name for path in tmp_path.iterdir()) == ["a.png", "a_depth.npy"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.png", "a_confidence.png", "a_depth.npy"]
+    (tmp_path / "a_confidence.png").unlink()
+    views.render(again, cameras, tmp_path)
+    assert len(again.painted) == 2 and views.is_whole(tmp_path, "a")
 
 
 def test_depth_is_found_by_a_views_name_if_its_camera_is_the_same(tmp_path):
@@ -71,6 +65,30 @@ def test_depth_is_found_by_a_views_name_if_its_camera_is_the_same(tmp_path):
     assert list(found) == ["a"] and found["a"] == pytest.approx(2.5) and found["a"].dtype == np.float32
     assert list(views.load_depths(tmp_path, {"a": cameras["a"].resized(64, 48)})) == ["a"]
     assert views.load_depths(tmp_path, {"a": cameras["b"]}) == {}
+
+
+def test_depth_of_little_confidence_is_none_and_the_confidence_beside_it_is_read(tmp_path):
+    cameras = {"a": around(orbit(TARGET, 1, 20, 1), 32, 24)[0]}
+    save_views(tmp_path, views.render(Painter(passes=0.9), cameras, tmp_path), images=".")
+    with Image.open(tmp_path / "a_confidence.png") as stored:
+        assert stored.mode == "L" and stored.size == (32, 24)
+    sure = views.load_confidences(tmp_path, cameras)["a"]
+    assert sure.dtype == np.float32 and (sure[:, :16] == 1).all()
+    assert sure[:, 16:] == pytest.approx(0.5 / 0.9 - 0.5 * 0.9, abs=0.5 / 255)
+    depth = views.load_depths(tmp_path, cameras)["a"]
+    assert depth.dtype == np.float32 and (depth[:, :16] == 2.5).all() and np.isnan(depth[:, 16:]).all()
+    assert (views.load_depths(tmp_path, cameras, sure=0.1)["a"] == 2.5).all()
+
+
+def test_depth_without_a_confidence_is_sure_and_with_that_of_another_picture_refused(tmp_path):
+    cameras = {"a": around(orbit(TARGET, 1, 20, 1), 32, 24)[0]}
+    save_views(tmp_path, views.render(Painter(passes=1.0), cameras, tmp_path), images=".")
+    Image.new("L", (16, 12)).save(tmp_path / "a_confidence.png")
+    with pytest.raises(ValueError, match="render the view again"):
+        views.load_depths(tmp_path, cameras)
+    (tmp_path / "a_confidence.png").unlink()
+    assert views.load_confidences(tmp_path, cameras) == {}
+    assert (views.load_depths(tmp_path, cameras)["a"] == 2.5).all()
 
 
 def proposing(calls):

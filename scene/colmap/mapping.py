@@ -24,6 +24,9 @@ RELAXED = {"max_ratio": 0.9, "init_inliers": 25, "pose_inliers": 15, "init_angle
 PEAK, RELAXED_PEAK = 0.0067, 0.002
 """Contrast a feature must have; the lower one is tried where the first attempt joins too few photographs."""
 
+FEATURELESS = 50
+"""Photographs with fewer features show too little to be joined by."""
+
 
 def solve(pycolmap, folder, names, seed, threads, max_size, alike, say, **settings):
     """Reconstruct; what was left out is tried once more with relaxed thresholds before it is given up."""
@@ -131,7 +134,8 @@ class _Run:
         )
         with self.pycolmap.Database.open(self.database) as content:
             features = content.num_keypoints() / content.num_images()
-            return {"pairs": content.num_verified_image_pairs(), "features": features}
+            _, inliers = content.read_two_view_geometry_num_inliers()  # pairs that were tried in vain are in there too
+            return {"pairs": int(np.count_nonzero(inliers)), "features": features}
 
     def _unlike(self, content, numbers, alike: int) -> list[tuple[int, int]]:
         """Numbers of all pairs but neighbours and those that look alike."""
@@ -182,8 +186,18 @@ def _advice(total: int, registered: int, found: dict, groups: list[int]) -> str:
         )
     return (
         f"only {registered} of {total} photographs could be joined ({found['pairs']} of {pairs} pairs show common "
-        f"points, {found['features']:.0f} features in a photograph). What helps: neighbours that overlap by 60-80 %, "
-        "in steps of at most 20 degrees around a still scene, sharp, with texture on or around the objects"
+        f"points, {found['features']:.0f} features in a photograph). What helps: {_help(registered, found, pairs)}"
+    )
+
+
+def _help(registered: int, found: dict, pairs: int) -> str:
+    if found["features"] < FEATURELESS:
+        return "things with texture on or around the objects, such as a newspaper under them, and sharp photographs"
+    if not registered and found["pairs"] > pairs / 2:
+        return "to walk around the scene: photographs taken from one place, however turned, do not say how far away things are"
+    return (
+        "neighbours that overlap by 60-80 %, in steps of at most 20 degrees around a still scene, sharp, with texture "
+        "on or around the objects"
     )
 
 

@@ -8,6 +8,7 @@ features (deferred shading, as in SNeRG and MERF). Light that passes everything 
 import zipfile
 import zlib
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
@@ -189,6 +190,8 @@ class Field:
 
         ValueError if it is not a whole field of this version, or the device is not there.
         """
+        if Path(path).is_file() and not zipfile.is_zipfile(path):  # numpy would advise to load a pickle unsafely
+            raise ValueError(f"{path} is not a field, or was cut off; train it again")
         try:
             with np.load(path, allow_pickle=False) as file:
                 arrays = {key: file[key] for key in file.files}

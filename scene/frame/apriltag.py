@@ -76,7 +76,10 @@ class TagLayout:
     def _parsed(cls, content) -> "TagLayout":
         if content["family"] != FAMILY:
             raise ValueError(f"family must be {FAMILY}, not {content['family']}")
-        poses = {int(n): np.array(tag["base_from_tag"], dtype=float) for n, tag in content["tags"].items()}
+        tags = content["tags"]
+        if not (isinstance(tags, dict) and all(isinstance(tag, dict) for tag in tags.values())):
+            raise ValueError('tags must be like {"0": {"base_from_tag": [[...]]}}: each number with its 4 x 4 pose')
+        poses = {int(n): np.array(tag["base_from_tag"], dtype=float) for n, tag in tags.items()}
         return cls(float(content["size"]), poses)
 
     def save(self, path: str | Path):
