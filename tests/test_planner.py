@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from robot.arm import Arm
 from robot.collision import CollisionModel
+from robot.contact import as_planned, hand_of
 from robot.planner import Plan, plan
 from robot.timing import motion_spline, time_path
 from scene.camera import Camera, look_at
@@ -346,12 +347,21 @@ def test_a_motion_that_ends_with_a_contact_ends_where_the_hand_touches(arm, tabl
     taught = skill_to(arm, at, spread=0.005)
     assert not plan(taught, arm, table, samples=2, moved=0).feasible
     landed = plan(replace(taught, events=(Event("contact", 4.0),)), arm, table, samples=2, moved=0)
-    assert landed.feasible and np.linalg.norm(landed.tip[-1] - at) < 0.015
-    hand = [link for link in arm.link_names if link not in arm.beside_hand]
-    distance = CollisionModel(arm, table, only={"top": hand}).measure(landed.joints)[0][:, 0]
+    assert landed.feasible and np.linalg.norm(landed.tip[-1] - at) < 0.003
+    touching = as_planned(arm, landed)
+    assert touching.fk(landed.joints[-1])[:3, 3] == pytest.approx(landed.tip[-1])
+    distance = CollisionModel(touching, table, only={"top": hand_of(arm)}).measure(landed.joints)[0][:, 0]
     assert 0.0005 < distance[-1] < 0.005 and distance.min() > 0
-    others = CollisionModel(arm, table, only={"top": arm.beside_hand}).measure(landed.joints)[0][:, 0]
+    others = CollisionModel(touching, table, only={"top": arm.beside_hand}).measure(landed.joints)[0][:, 0]
     assert others.min() >= 0.008
+
+
+def test_a_hand_that_is_to_grasp_where_it_touches_keeps_its_fingers_open(arm, table):
+    at = np.array([0.62, -0.45, 0.22])
+    events = (Event("contact", 4.0), Event("gripper_close", 4.0))
+    landed = plan(skill_to(arm, at, spread=0.005, events=events), arm, table, samples=2, moved=0)
+    assert landed.feasible and (landed.fingers == arm.gripper.open).all() and not landed.contact.any()
+    assert landed.tip[-1] == pytest.approx(arm.fk(landed.joints[-1])[:3, 3]) and np.linalg.norm(landed.tip[-1] - at) < 0.015
 
 
 def test_a_contact_on_the_way_lets_nothing_come_near(arm, table):
