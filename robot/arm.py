@@ -363,8 +363,12 @@ def _gripper(given, description, arm_joints, file) -> Gripper:
 
 
 def _vector(given, otherwise, count, what) -> np.ndarray:
-    values = np.atleast_1d(np.array(otherwise if given is None else given, dtype=float))
+    given = otherwise if given is None else given
+    try:
+        values = np.atleast_1d(np.array(given, dtype=float))
+    except (TypeError, ValueError):
+        values = np.full(0, np.nan)  # words, or lists of several lengths
     if values.shape != (count,) or np.isnan(values).any():
-        raise ValueError(f"{what} must be {count} numbers, one for each joint; got {values.tolist()}")
+        raise ValueError(f"{what} must be {count} numbers, one for each joint; got {given if isinstance(given, list | str) else np.asarray(given).tolist()}")
     values.setflags(write=False)
     return values
