@@ -8,9 +8,11 @@ import numpy as np
 import pybullet
 import pytest
 from pybullet_utils.bullet_client import BulletClient
+from scipy.interpolate import CubicSpline
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
+from robot import timing
 from robot.arm import Arm
 from robot.collision import CollisionModel
 from robot.contact import as_planned, hand_of
@@ -282,6 +284,15 @@ def test_the_fastest_motion_keeps_the_limits_everywhere_and_uses_them(arm, seed)
     speed, push = np.abs(motion(t, 1)) / arm.velocity, np.abs(motion(t, 2)) / arm.acceleration
     assert speed.max() <= 1.001 and push.max() <= 1.001
     assert max(speed.max(), push.max()) > 0.7
+
+
+def test_a_motion_does_not_stop_on_its_way_where_timing_it_is_badly_rounded(monkeypatch):
+    rng = np.random.default_rng(32)  # one of 300 such paths that stop on the coarsest grid
+    knots, s = rng.normal(0, 0.5, (6, 7)), np.linspace(0, 1, 100) ** rng.uniform(0.6, 1.6)
+    path, limits = CubicSpline(np.linspace(0, 1, 6), knots)(s), (np.full(7, 2.175), np.array([15, 7.5, 10, 12.5, 15, 20, 20]))
+    duration = time_path(path, *limits)[0][-1]
+    monkeypatch.setattr(timing, "FINER", (8,))
+    assert duration < 1.05 * time_path(path, *limits)[0][-1]
 
 
 def test_a_motion_that_goes_nowhere_is_held_for_its_duration():
