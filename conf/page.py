@@ -189,6 +189,7 @@ def performing(settings: dict, spec: dict, seed: int) -> dict:
 
 
 def _plan(planner, arm, spec, seed, progress, skill: Path, keep: Path) -> dict:
+    from robot.contact import as_planned
     from robot.events import planned_events
     from robot.world import World
     from teach.trajectory import Skill
@@ -200,7 +201,7 @@ def _plan(planner, arm, spec, seed, progress, skill: Path, keep: Path) -> dict:
         chosen = planner(learned, arm, world.obstacles, start=arm.home, seed=seed)
     chosen.save(keep)
     events = planned_events(learned, chosen)
-    links = link_rows(arm, chosen.times, chosen.joints, events, _shown_rows(chosen))
+    links = link_rows(as_planned(arm, chosen), chosen.times, chosen.joints, events, _shown_rows(chosen))
     return planned(chosen) | {"links": links, "events": [{"name": event.name, "time": event.time} for event in events]}
 
 

@@ -3,14 +3,14 @@
 Notation
     q      (J,) joint values [rad or m], in the order of ``joint_names``
     base   the root link's frame, which is the world's frame
-    tip    the frame of ``tip_link``; ``base_from_tip`` is what fk gives and ik takes
+    tip    the frame of ``tip_link``, at the hand's ``contact``; ``base_from_tip`` is what fk gives and ik takes
 
 The tree is read from the URDF once and evaluated by compiled functions (kinematics.py); PyBullet only spawns bodies.
 """
 
 import importlib.resources
 import inspect
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -45,7 +45,8 @@ class Arm:
 
     lower, upper [rad or m]; velocity [per s]; acceleration [per s^2]; home (J,): comfortable posture, where it starts.
     gripper: its joints are held open where kinematics and collision are concerned. legs: of a robot that walks; the first
-    joints are then its trunk's place.
+    joints are then its trunk's place. contact (3,) [m]: in the frame of ``tip_link``, the point that follows paths and is the tip of all
+    that is said here; where a motion touches, the hand's end (contact.py).
     """
 
     name: str
@@ -60,6 +61,7 @@ class Arm:
     tip_link: str
     gripper: Gripper
     legs: Legs | None = None
+    contact: np.ndarray = field(default_factory=lambda: np.zeros(3))
 
     @classmethod
     def load(cls, name_or_path) -> "Arm":
@@ -155,7 +157,8 @@ class Arm:
     @cached_property
     def chain(self) -> tuple:
         """The links from the root to the tip, as the compiled functions take them."""
-        return self._tree(self.description.chain(self.tip_link)).arrays
+        tree = self._tree(self.description.chain(self.tip_link))
+        return (tree.extended(self.contact) if self.contact.any() else tree).arrays
 
     @property
     def beside_hand(self) -> tuple[str, ...]:
@@ -360,8 +363,12 @@ def _gripper(given, description, arm_joints, file) -> Gripper:
 
 
 def _vector(given, otherwise, count, what) -> np.ndarray:
-    values = np.atleast_1d(np.array(otherwise if given is None else given, dtype=float))
+    given = otherwise if given is None else given
+    try:
+        values = np.atleast_1d(np.array(given, dtype=float))
+    except (TypeError, ValueError):
+        values = np.full(0, np.nan)  # words, or lists of several lengths
     if values.shape != (count,) or np.isnan(values).any():
-        raise ValueError(f"{what} must be {count} numbers, one for each joint; got {values.tolist()}")
+        raise ValueError(f"{what} must be {count} numbers, one for each joint; got {given if isinstance(given, list | str) else np.asarray(given).tolist()}")
     values.setflags(write=False)
     return values

@@ -47,8 +47,8 @@ class Attempt:
 @dataclass(frozen=True, eq=False)
 class Search:
     """For each candidate the best attempt. start (J,). margin: least clearance [m]. comfortable: a larger one is not
-    looked for [m]. postures: end postures tried on the mean. tool: how the hand is to be turned. lands: the motion ends where the
-    hand touches what the model lets it land on."""
+    looked for [m]. postures: end postures tried on the mean. tool: how the hand is to be turned. touch (3,) [m]: where the hand is to
+    touch what the model lets it land on, at the motion's end; None where it is not to touch anything."""
 
     arm: Arm
     model: CollisionModel
@@ -57,7 +57,11 @@ class Search:
     comfortable: float
     postures: int
     tool: Tool = Tool()
-    lands: bool = False
+    touch: np.ndarray | None = None
+
+    @property
+    def lands(self) -> bool:
+        return self.touch is not None
 
     def all(self, candidates, orientation=None) -> list[Attempt]:
         """Candidates (S, N, 3), the mean first; orientation: None or rows (t, quat_xyzw) that were taught.
@@ -130,8 +134,8 @@ class Search:
         return self._measured(attempt, rows[there_first], beaten.rank)
 
     def _landed(self, attempt) -> Attempt:
-        """The attempt as far as the hand may go before it touches what it lands on: the tip's frame may lie in from its
-        fingers' ends. Only the last of the way is left out."""
+        """The attempt as far as the hand may go before it touches what it lands on: that may be the side of a hand that is
+        not upright there. Only the last of the way is left out."""
         points, path = attempt.points, attempt.path
         last = np.flatnonzero(np.linalg.norm(points - points[-1], axis=1) > LANDING).max(initial=-1) + 1
         bad = np.flatnonzero(self.model.clearance(path[last:]) < self.margin)

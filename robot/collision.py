@@ -62,16 +62,16 @@ class CollisionModel:
     def __init__(self, arm, world=None, regions=(), ignored=(), cap=0.3, *, only=None, held=None, landing=None, margin=0.01):
         self.arm, self.cap = arm, float(cap)
         bodies = body_pieces(world.client, world.bodies) if world is not None else []
-        self._only, self._held = _checked(only or {}, held or {}, arm, bodies, regions)
-        carried = [_carried(arm, piece, self._held[piece.name]) for piece in bodies if piece.name in self._held]
+        self._only, self.held = _checked(only or {}, held or {}, arm, bodies, regions)
+        carried = [_carried(arm, piece, self.held[piece.name]) for piece in bodies if piece.name in self.held]
         self.links, self.pieces = (tuple(column) for column in zip(*_arm_pieces(arm), *carried))
-        self.surroundings = (*(piece for piece in bodies if piece.name not in self._held), *region_pieces(regions))
+        self.surroundings = (*(piece for piece in bodies if piece.name not in self.held), *region_pieces(regions))
         rooms = [(room["link"], arm.legs.trunk) for room in arm.legs.room] if arm.legs else []
         self._ignored = {frozenset(pair) for pair in (*ignored, *rooms)}
         self._objects = [fcl.CollisionObject(piece.geometry) for piece in self.pieces]
         self._objects += [fcl.CollisionObject(p.geometry, _fcl_pose(p.frame_from_piece)) for p in self.surroundings]
         self._request = fcl.DistanceRequest(enable_nearest_points=True, enable_signed_distance=True)
-        self._solids = [Solid(piece) for piece in self.pieces + self.surroundings]
+        self.solids = [Solid(piece) for piece in self.pieces + self.surroundings]
         self._corners = np.stack([piece.corners() for piece in self.pieces])  # (P, 8, 3) in the links' frames
         self._link_of_piece = np.array(self.links)
         self._reach = _reach(arm, self._corners)
@@ -225,10 +225,10 @@ class CollisionModel:
     def _place(self, piece, poses) -> tuple:
         """The piece where it is, for separation.py; a piece of the arm is put there for FCL too."""
         if piece >= len(self.pieces):
-            return self._solids[piece].arrays(self.surroundings[piece - len(self.pieces)].frame_from_piece)
+            return self.solids[piece].arrays(self.surroundings[piece - len(self.pieces)].frame_from_piece)
         pose = poses[self._link_of_piece[piece]] @ self.pieces[piece].frame_from_piece
         self._objects[piece].setTransform(_fcl_pose(pose))
-        return self._solids[piece].arrays(pose)
+        return self.solids[piece].arrays(pose)
 
     def sweep(self, path, required=0.0, resolution=1e-3, cap=None) -> Sweep:
         """Clearance of the straight joint-space motions between the postures of ``path`` (T, J), bounded from below.
@@ -308,7 +308,7 @@ class CollisionModel:
     def _resting(self, margin) -> np.ndarray:
         """How much nearer than ``margin`` held things are, where they are grasped, to what they rest on."""
         allowed = np.zeros(len(self._pairs))
-        for name, posture in self._held.items():
+        for name, posture in self.held.items():
             poses, placed = self.arm.link_poses(posture)[0], {}
             for k in np.flatnonzero([self.names[a] == name for a, _ in self._pairs[: len(self._pairs) - self._own]]):
                 allowed[k] = max(0.0, margin + SLIDING - self._distance(*self._pairs[k], poses, placed))
@@ -336,13 +336,13 @@ class CollisionModel:
             and parents.get(groups[b]) != groups[a]
             and frozenset((self.names[a], self.names[b])) not in self._ignored
         ]
-        postures = np.vstack([*self._held.values(), self.arm.home, self.arm.random(100, 0)])
-        usual = len(self._held)  # where home stands
+        postures = np.vstack([*self.held.values(), self.arm.home, self.arm.random(100, 0)])
+        usual = len(self.held)  # where home stands
         clearance = np.zeros((len(postures), len(candidates)))
         for n, poses in enumerate(self.arm.link_poses(postures)):
             placed = {}
             clearance[n] = [self._distance(a, b, poses, placed) for a, b in candidates]
-        held = np.array([bool({self.names[a], self.names[b]} & set(self._held)) for a, b in candidates])
+        held = np.array([bool({self.names[a], self.names[b]} & set(self.held)) for a, b in candidates])
         near = np.where(held, -np.inf, NEAR_AT_HOME)
         kept = (clearance[usual] > near) & ((clearance <= 0).mean(axis=0) < ALWAYS_TOUCHING)
         own = np.array([pair for pair, keep in zip(candidates, kept) if keep], dtype=np.int64).reshape(-1, 2)
@@ -377,8 +377,9 @@ def _checked(only, held, arm, bodies, regions):
 
 def _carried(arm, piece, posture) -> tuple:
     """(index of the tip's link, piece in that link's frame) of a piece of the world that is grasped at a posture."""
-    pose = np.linalg.inv(arm.fk(posture)) @ piece.frame_from_piece
-    return arm.link_names.index(arm.tip_link), replace(piece, frame_from_piece=pose)
+    tip = arm.link_names.index(arm.tip_link)
+    pose = np.linalg.inv(arm.link_poses(posture)[0, tip]) @ piece.frame_from_piece
+    return tip, replace(piece, frame_from_piece=pose)
 
 
 def _keep_nearest(seen, who, owner, distance, pair):

@@ -16,6 +16,7 @@ import av
 import numpy as np
 
 from robot import conditions
+from robot.contact import as_planned
 from robot.gait import slipped
 from robot.simulated import STEP, Robot
 from robot.timing import motion_spline
@@ -26,7 +27,7 @@ AT_REST, PATIENCE = 0.01, 3.0  # m/s; s after the motion that are waited for thi
 STRIP = 6  # pictures of a filmstrip
 NO_FILM = np.zeros((0, 0, 0, 3), np.uint8)
 WORDS = ("names", "touched", "touched_by", "conditions", "said")
-NUMBERS = ("duration", "final_error", "success", "fps", "fastest", "foot_slip")
+NUMBERS = ("duration", "final_error", "success", "fps", "fastest", "foot_slip", "touch_error")
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +40,8 @@ class Execution:
     (3,) [m]: where the tip was to end (nan in a world without a goal). final_error [m]: from there, or else from the
     plan's end. conditions: names of the world's, with what was measured (K,), its bound (K,), whether each is met (K,)
     and said, in words. fastest [m/s]: of all things. foot_slip [m]: the farthest that a foot moved while it stood, 0 without
-    legs. success: all are met. frames (F, H, W, 3) uint8 at ``fps``: the
+    legs. touch_error [m]: from where the hand was to touch to the nearest point of it and of what it holds, at the end; nan where it was
+    not to. success: all are met. frames (F, H, W, 3) uint8 at ``fps``: the
     film, not kept by ``save``.
     """
 
@@ -63,6 +65,7 @@ class Execution:
     fastest: float
     success: bool
     foot_slip: float
+    touch_error: float
     fps: float
     frames: np.ndarray
 
@@ -83,6 +86,7 @@ class Execution:
             "success": bool(self.success),
             "fastest_thing_m_s": float(self.fastest),
             "foot_slip_mm": 1e3 * float(self.foot_slip),
+            **({} if np.isnan(self.touch_error) else {"touch_error_mm": 1e3 * float(self.touch_error)}),
             "conditions": {name: {"measured": float(value), "bound": float(bound), "met": bool(met)}
                            for name, value, bound, met in zip(self.conditions, self.measured, self.bounds, self.met)},
         }  # fmt: skip
@@ -101,6 +105,7 @@ class Execution:
             f"it was to go and followed the plan within {numbers['tracking_error_mm']:.2f} mm RMS, "
             f"{numbers['tracking_error_max_mm']:.2f} mm at most; "
             f"{'; '.join(touches) if touches else 'nothing was touched'}"
+            f"{'' if np.isnan(self.touch_error) else f'; it reached to {1e3 * self.touch_error:.1f} mm from the point that it was to touch'}"
             f"{'; not as it was to be: ' if unmet else ''}{'; '.join(unmet)}"
         )
 
@@ -118,7 +123,7 @@ class Execution:
 
     @classmethod
     def _parsed(cls, arrays) -> "Execution":
-        later = {"foot_slip": np.array(0.0)}  # earlier files have none
+        later = {"foot_slip": np.array(0.0), "touch_error": np.array(np.nan)}  # earlier files have none
         values = {f.name: (later | arrays)[f.name] for f in fields(cls) if f.name != "frames"}
         words = {name: tuple(values[name].tolist()) for name in WORDS}
         numbers = {name: values[name].item() for name in NUMBERS}
@@ -134,6 +139,7 @@ def perform(plan, arm, world, *, events=(), camera=None, fps=12.5, width=480, he
     least before the judge looks. Raises ValueError for a plan that is not feasible or of another arm.
     """
     _check(plan, arm, fps, settle)
+    arm = as_planned(arm, plan)
     camera = film_camera(world.spec, width, height) if camera is None and fps else camera
     robot = Robot(arm, world.client, plan.joints[0])
     robot.take(world)
@@ -155,7 +161,7 @@ def perform(plan, arm, world, *, events=(), camera=None, fps=12.5, width=480, he
             frames.append(world.photograph(camera))
     times, joints, tip = np.array(times), np.array(joints), np.array(tip)
     planned = arm.fk(motion(np.minimum(times, duration)))[:, :3, 3]
-    goal, verdicts = judge(world, tip[-1], tuple(touches), planned_end=planned[-1])
+    goal, verdicts = judge(world, tip[-1], tuple(touches), planned_end=plan.touch if plan.touches else planned[-1])
     return Execution(
         times,
         joints,
@@ -174,6 +180,7 @@ def perform(plan, arm, world, *, events=(), camera=None, fps=12.5, width=480, he
         fastest,
         all(v.met for v in verdicts),
         slipped(np.array(feet)),
+        robot.distance(plan.touch, world.in_hand) if plan.touches else np.nan,
         float(fps),
         np.array(frames) if frames else NO_FILM,
     )

@@ -76,6 +76,13 @@ class Tree:
                 groups[link] = groups[parent]
         return groups
 
+    def extended(self, offset) -> "Tree":
+        """The same with one more link, fixed to the last at ``offset`` (3,) in its frame [m]."""
+        pose = np.eye(4)
+        pose[:3, 3] = offset
+        more = (len(self.parent) - 1, pose, np.zeros(3), FIXED, -1, 0.0)
+        return Tree(*(np.concatenate([before, np.array([last], dtype=before.dtype)]) for before, last in zip(self.arrays, more)))
+
     @property
     def arrays(self) -> tuple:
         """The fields as the compiled functions take them."""

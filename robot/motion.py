@@ -1,6 +1,6 @@
 """Plan: a motion of the arm as it will be performed, with what was checked about it; its files."""
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 
@@ -20,7 +20,8 @@ class Plan:
     mean. way: of the skill's ways the one that is followed, the most usual is 0. feasible: whether the
     motion passed every check; where False, ``joints`` are the least bad candidate, not to be performed. begins [s]: when the
     taught motion does, after the way to where it begins. stands: where the robot goes to stand first, or would have to, and why.
-    slow: where the taught motion takes very much longer than it was drawn, how long.
+    slow: where the taught motion takes very much longer than it was drawn, how long. touch (3,) [m]: where the hand is to touch at its
+    end, nan where it is not to; contact (3,) [m] and fingers (G,): of the hand that does, see contact.py; ``tip`` is its contact point.
     """
 
     times: np.ndarray
@@ -39,6 +40,13 @@ class Plan:
     begins: float = 0.0
     stands: str = ""
     slow: str = ""
+    touch: np.ndarray = field(default_factory=lambda: np.full(3, np.nan))
+    contact: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    fingers: np.ndarray = field(default_factory=lambda: np.zeros(0))
+
+    @property
+    def touches(self) -> bool:
+        return bool(np.isfinite(self.touch).all())
 
     @property
     def sentence(self) -> str:
@@ -88,7 +96,8 @@ class Plan:
 
     @classmethod
     def _parsed(cls, arrays) -> "Plan":
-        later = {"way": np.array(0), "moved": np.array(""), "begins": np.array(0.0), "stands": np.array(""), "slow": np.array("")}  # earlier files have none
+        later = {"way": np.array(0), "moved": np.array(""), "begins": np.array(0.0), "stands": np.array(""), "slow": np.array(""),
+                 "touch": np.full(3, np.nan), "contact": np.zeros(3), "fingers": np.zeros(0)}  # earlier files have none
         values = {f.name: (later | arrays)[f.name] for f in fields(cls)}
         words = {name: tuple(values[name].tolist()) for name in ("names", "refusals")}
         numbers = {name: values[name].item() for name in ("samples", "chosen", "feasible", "way", "moved", "begins", "stands", "slow")}

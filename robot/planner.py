@@ -25,6 +25,7 @@ from robot.approach import BESIDE, beginnings
 from robot.approach import approach as approach_path
 from robot.attempt import RESOLUTION, Attempt, Search, swept_refusal, title
 from robot.collision import ITSELF, WORLD, CollisionModel
+from robot.contact import hand_of, touching
 from robot.deform import Moved, moved_mean
 from robot.inverse import NoSolution, tool_of
 from robot.keepout import regions_of
@@ -80,7 +81,7 @@ def plan(
     motion that is feasible from nowhere near: "here", it is refused; "walk", a robot with legs goes to stand where it is
     feasible; "say", it is said of an arm too where its base would have to stand.
     Regions are kept clear of as if they were bodies. A skill with a "contact" at its end ends where the hand touches what is
-    there. The motion takes at least ``skill.duration``. Raises ValueError where
+    there, its fingers closed if they do nothing on the way (contact.py). The motion takes at least ``skill.duration``. Raises ValueError where
     the start itself is out of limits or too close to something, NoSolution where the beginning cannot be reached,
     SketchError where outlines bound no region.
     """
@@ -95,12 +96,15 @@ def plan(
     regions, only = regions_of(skill.keep_out, outlined_for, keep_out)
     held = dict.fromkeys(held, start)
     only |= dict.fromkeys(getattr(world, "touch", ()), arm.beside_hand)
-    landing = _landing(skill, arm, world)
+    touch, beside = _touch(skill, arm, world, held)
+    if touch is not None:
+        arm = touching(arm, CollisionModel(arm, world, held=held), skill.events)
+    landing = dict.fromkeys(beside, [*hand_of(arm), *held])
     only = {name: links for name, links in only.items() if name not in landing}
     model = CollisionModel(arm, world, regions, only=only, held=held, landing=landing, margin=margin)
     _check_start(arm, model, start, margin)
     tool = tool_of(skill.hand or orientation, orientation_tolerance, arm.fk(start)[:3, :3])
-    here = Search(arm, model, start, margin, comfortable, postures, tool, bool(landing))
+    here = Search(arm, model, start, margin, comfortable, postures, tool, touch)
     from_there = lambda begin: _performed(skill, replace(here, start=begin), approach, seed, samples, waypoints, rate, moved)
     try:
         motion, wrong = from_there(start), None
@@ -136,13 +140,13 @@ def _joined(arm, lead, motion) -> Plan:
     return both
 
 
-def _landing(skill, arm, world) -> dict[str, list[str]]:
-    """{body: the hand's links} of what a motion that ends with a contact ends on."""
+def _touch(skill, arm, world, held) -> tuple[np.ndarray | None, list[str]]:
+    """Where (3,) [m] a motion that ends with a contact is to touch, None for any other, and the bodies there."""
     if world is None or not any(event.name == "contact" and event.time > AT_THE_END * skill.duration for event in skill.events):
-        return {}
-    hand = [link for link in arm.link_names if link not in arm.beside_hand]
-    there = CollisionModel(arm, world).beside(skill.distribution.mean_at([1.0])[0], SNAPPED)
-    return dict.fromkeys(there, hand)
+        return None, []
+    end = skill.distribution.mean_at([1.0])[0]
+    beside = CollisionModel(arm, world, held=held).beside(end, SNAPPED)
+    return (end if beside else None), beside
 
 
 def _mount(arm, world) -> str | None:
@@ -226,10 +230,17 @@ def _motion(skill, search, samples, waypoints, seed, rate, moved) -> Plan:
         if not refusals[attempt.index]:
             del refusals[attempt.index]
             chosen = _plan(arm, timed, refusals, attempt.index, samples, int(way[attempt.index]), said, True)
-            return replace(chosen, slow=_slow(timed.times[-1], skill.duration))
+            return replace(_touching(chosen, search), slow=_slow(timed.times[-1], skill.duration))
     least_bad = max((a for a in attempts if a.index >= 0), key=lambda a: a.rank)
     timed = _untimely(arm, model, least_bad, skill.duration, rate)
-    return _plan(arm, timed, refusals, least_bad.index, samples, int(way[least_bad.index]), said, False)
+    return _touching(_plan(arm, timed, refusals, least_bad.index, samples, int(way[least_bad.index]), said, False), search)
+
+
+def _touching(motion, search) -> Plan:
+    """The plan with where and how the hand is to touch, if it is to."""
+    if not search.lands:
+        return motion
+    return replace(motion, touch=search.touch, contact=search.arm.contact, fingers=search.arm.gripper.open)
 
 
 def _slow(takes, drawn) -> str:

@@ -6,8 +6,10 @@ between them.
 """
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from robot.bullet import pybullet
+from robot.contact import hand_of
 
 STEP = 1 / 240  # s, PyBullet's own
 TOUCHING = 1e-4  # m; contacts further apart than this are warnings of Bullet's margin, not touches
@@ -15,6 +17,7 @@ POSITION_GAIN = 0.3  # share of the position error that is corrected in a step
 UNLIMITED = 1e3  # N m or N, where the URDF allows no effort at all
 UPRIGHT = 0.7  # cosine: what a foot presses on from above it stands on
 PRESS = 5.0  # N or N m, of a finger: more would push what it holds into the other finger
+PROBE, FAR = 1e-3, 1.0  # m: the radius of a ball that distances are measured to, and the largest that is looked for
 GRIP = 1.2  # friction of what holds things: rubber
 
 
@@ -29,7 +32,8 @@ class Robot:
             client.resetJointState(self.body, joint, float(value))
         info = [client.getJointInfo(self.body, index) for index in range(client.getNumJoints(self.body))]
         self.links = [entry[12].decode() for entry in info]
-        self.tip = self.links.index(arm.tip_link)
+        self.tip, self.contact = self.links.index(arm.tip_link), arm.contact
+        self.hand = [self.links.index(link) for link in hand_of(arm) if link in self.links]
         self.feet = [self.links.index(foot) for foot in arm.legs.feet] if arm.legs else []
         self.effort = {index: entry[10] or UNLIMITED for index, entry in enumerate(info)}
         self.speed = {index: entry[11] or UNLIMITED for index, entry in enumerate(info)}
@@ -76,9 +80,19 @@ class Robot:
             )  # fmt: skip
 
     def state(self) -> tuple[np.ndarray, np.ndarray]:
-        """Joint values (J,) and the tip's place (3,) [m]."""
+        """Joint values (J,) and the place (3,) [m] of the tip's contact point."""
         joints = [state[0] for state in self.client.getJointStates(self.body, self.joints)]
-        return np.array(joints), np.array(self.client.getLinkState(self.body, self.tip, computeForwardKinematics=True)[4])
+        place, quat_xyzw = self.client.getLinkState(self.body, self.tip, computeForwardKinematics=True)[4:6]
+        return np.array(joints), place + Rotation.from_quat(quat_xyzw).apply(self.contact)
+
+    def distance(self, point, held=()) -> float:
+        """How far the hand, and the bodies that it holds, are from a point (3,) [m], by Bullet's own measure."""
+        shape = self.client.createCollisionShape(pybullet.GEOM_SPHERE, radius=PROBE)
+        probe = self.client.createMultiBody(0, shape, -1, list(map(float, point)))
+        near = [self.client.getClosestPoints(self.body, probe, FAR, linkIndexA=link) for link in self.hand]
+        near += [self.client.getClosestPoints(body, probe, FAR) for body in held]
+        self.client.removeBody(probe)
+        return min((p[8] + PROBE for points in near for p in points), default=np.inf)
 
     def touches(self) -> list[tuple[int, str, float]]:
         """(body, link, overlap [m]) of what the robot touches now; its fixed foot may stand on something."""

@@ -16,6 +16,10 @@ from toppra.constraint import JointAccelerationConstraint, JointVelocityConstrai
 
 logging.getLogger("toppra").setLevel(logging.ERROR)
 
+FINER, STALL = (1, 2, 4), 1e-3
+"""Grids to try, times as fine, while the motion all but stops on its way (of its largest speed): TOPP-RA's rounding does that next
+to an end, where controllable speeds are small."""
+
 
 def motion_spline(times, joints) -> CubicSpline:
     """The motion between samples: times (T,) [s], joints (T, J); at rest at both ends."""
@@ -73,13 +77,18 @@ def _fastest(spline, arc, velocity, acceleration):
         JointVelocityConstraint(np.column_stack([-velocity, velocity])),
         JointAccelerationConstraint(np.column_stack([-acceleration, acceleration])),
     ]
-    path = toppra.SplineInterpolator(arc, spline(arc))
-    grid = np.linspace(0, arc[-1], max(100, 2 * len(arc)))
-    _, speed, _ = TOPPRA(constraints, path, gridpoints=grid, solver_wrapper="seidel").compute_parameterization(0, 0)
-    if speed is None or not np.isfinite(speed).all():
+    path, found = toppra.SplineInterpolator(arc, spline(arc)), []
+    for finer in FINER:
+        grid = np.linspace(0, arc[-1], finer * max(100, 2 * len(arc)))
+        _, speed, _ = TOPPRA(constraints, path, gridpoints=grid, solver_wrapper="seidel").compute_parameterization(0, 0)
+        if speed is not None and np.isfinite(speed).all():
+            mean = np.maximum((speed[:-1] + speed[1:]) / 2, 1e-6)
+            found.append((np.concatenate([[0], np.cumsum(np.diff(grid) / mean)]), grid, speed))
+            if speed[1:-1].min() > STALL * speed.max():
+                break
+    if not found:
         raise ValueError("no motion along the path keeps the velocity and acceleration limits")
-    mean = np.maximum((speed[:-1] + speed[1:]) / 2, 1e-6)
-    knots = np.concatenate([[0], np.cumsum(np.diff(grid) / mean)])
+    knots, grid, speed = min(found, key=lambda one: one[0][-1])
     clock = np.linspace(0, knots[-1], 20 * len(knots))
     return clock, _arc_at(clock, knots, grid, speed)
 

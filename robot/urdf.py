@@ -65,6 +65,8 @@ class Urdf:
             joints = {joint.child: joint for joint in map(_joint, root.findall("joint"))}
         except (KeyError, TypeError) as error:
             raise ValueError(f"{path.name}: an element lacks what URDF asks for: {error}") from error
+        except ValueError as error:
+            raise ValueError(f"{path.name}: {error}") from error
         return cls(path, {name: shapes[name] for name in _topological(shapes, joints, path.name)}, joints)
 
     def chain(self, link: str) -> list[str]:
@@ -149,7 +151,7 @@ def _numbers(text, count, what) -> np.ndarray:
     except ValueError as error:
         raise ValueError(f"{what}: {text!r} are not numbers") from error
     if len(values) != count or not np.isfinite(values).all():
-        raise ValueError(f"{what}: {text!r} should be {count} finite numbers")
+        raise ValueError(f"{what}: {text!r} should be {count} finite number{'s' * (count > 1)}")
     return values
 
 

@@ -105,6 +105,11 @@ class World:
         return [name for name in self.bodies if self.thing(name).get("mass")]
 
     @property
+    def in_hand(self) -> list[int]:
+        """The ids of the bodies that the hand holds now."""
+        return [self.bodies[self.spec["held"]["name"]]] if self._grip is not None else []
+
+    @property
     def touchable(self) -> set[str]:
         """The names of what the task is to touch, the held thing among them."""
         return {*self.spec.get("touch", []), *([self.spec["held"]["name"]] if self.spec.get("held") else [])}

@@ -50,7 +50,7 @@ INSIDE = {
     "film": {"eye", "target", "fov_deg"},
 }
 JOINT_KEYS = {"name", "parent", "child", "type", "axis", "lower", "upper", "at", "friction"}
-EVENTS = ("gripper_open", "gripper_close")
+EVENTS = ("contact", "gripper_open", "gripper_close")
 TAGS = 587  # in the family 36h11
 
 

@@ -202,7 +202,7 @@ def test_any_urdf_is_an_arm_with_its_own_limits(tmp_path):
 @pytest.mark.parametrize(
     "parts, message",
     [
-        ((LINK.format("a"), LINK.format("b"), HINGE.format("j", "a", "b", "nan")), "lower of j"),
+        ((LINK.format("a"), LINK.format("b"), HINGE.format("j", "a", "b", "nan")), "arm.urdf: lower of j: 'nan' should be 1 finite number$"),
         ((LINK.format("a"), HINGE.format("j", "a", "b", -1)), "names the link b"),
         ((LINK.format("a"), LINK.format("b")), "one tree"),
         ((LINK.format("a"),), "no joint moves"),
@@ -244,6 +244,8 @@ def test_an_arm_of_ones_own_is_a_short_file(tmp_path):
         ("urdf\n", "must hold an arm's settings"),
         ("urdf: arm.urdf\ntip_link: hand\n", "no link 'hand'; its links are a, b, c"),
         ("urdf: arm.urdf\nlower: [.nan, 0]\n", "lower must be 2 numbers"),
+        ("urdf: arm.urdf\nhome: ['.nan', 0]\n", "home must be 2 numbers, one for each joint; got \\['.nan', 0\\]"),
+        ("urdf: arm.urdf\nhome: [[1], 0]\n", "home must be 2 numbers"),
         ("urdf: arm.urdf\ntip_link: b\ngripper: {joints: [x], open: [0], closed: [0]}\n", "gripper's joint x is none of k"),
         ("urdf: arm.urdf\ntip_link: b\ngripper: {joints: [k], open: [0]}\n", "has joints, open and closed"),
         ("urdf: arm.urdf\ntip_link: b\ngripper: {joints: [k], open: [], closed: [0]}\n", "gripper's open must be 1 numbers"),

@@ -39,7 +39,7 @@ def turned(arm, joints, by, duration=2.0):
     change[list(joints)] = by
     share = (1 - np.cos(np.pi * times / duration)) / 2
     return SimpleNamespace(
-        times=times, joints=arm.home + share[:, None] * change, names=arm.joint_names, feasible=True, sentence=""
+        times=times, joints=arm.home + share[:, None] * change, names=arm.joint_names, feasible=True, sentence="", touches=False
     )
 
 

@@ -8,11 +8,14 @@ import numpy as np
 import pybullet
 import pytest
 from pybullet_utils.bullet_client import BulletClient
+from scipy.interpolate import CubicSpline
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
+from robot import timing
 from robot.arm import Arm
 from robot.collision import CollisionModel
+from robot.contact import as_planned, hand_of
 from robot.planner import Plan, plan
 from robot.timing import motion_spline, time_path
 from scene.camera import Camera, look_at
@@ -283,6 +286,15 @@ def test_the_fastest_motion_keeps_the_limits_everywhere_and_uses_them(arm, seed)
     assert max(speed.max(), push.max()) > 0.7
 
 
+def test_a_motion_does_not_stop_on_its_way_where_timing_it_is_badly_rounded(monkeypatch):
+    rng = np.random.default_rng(32)  # one of 300 such paths that stop on the coarsest grid
+    knots, s = rng.normal(0, 0.5, (6, 7)), np.linspace(0, 1, 100) ** rng.uniform(0.6, 1.6)
+    path, limits = CubicSpline(np.linspace(0, 1, 6), knots)(s), (np.full(7, 2.175), np.array([15, 7.5, 10, 12.5, 15, 20, 20]))
+    duration = time_path(path, *limits)[0][-1]
+    monkeypatch.setattr(timing, "FINER", (8,))
+    assert duration < 1.05 * time_path(path, *limits)[0][-1]
+
+
 def test_a_motion_that_goes_nowhere_is_held_for_its_duration():
     times, joints, _ = time_path(np.zeros((10, 3)), np.ones(3), np.ones(3), duration=2.0)
     assert times[-1] == pytest.approx(2.0) and (joints == 0).all()
@@ -346,12 +358,21 @@ def test_a_motion_that_ends_with_a_contact_ends_where_the_hand_touches(arm, tabl
     taught = skill_to(arm, at, spread=0.005)
     assert not plan(taught, arm, table, samples=2, moved=0).feasible
     landed = plan(replace(taught, events=(Event("contact", 4.0),)), arm, table, samples=2, moved=0)
-    assert landed.feasible and np.linalg.norm(landed.tip[-1] - at) < 0.015
-    hand = [link for link in arm.link_names if link not in arm.beside_hand]
-    distance = CollisionModel(arm, table, only={"top": hand}).measure(landed.joints)[0][:, 0]
+    assert landed.feasible and np.linalg.norm(landed.tip[-1] - taught.distribution.mean_at([1.0])[0]) < 0.006
+    touching = as_planned(arm, landed)
+    assert touching.fk(landed.joints[-1])[:3, 3] == pytest.approx(landed.tip[-1])
+    distance = CollisionModel(touching, table, only={"top": hand_of(arm)}).measure(landed.joints)[0][:, 0]
     assert 0.0005 < distance[-1] < 0.005 and distance.min() > 0
-    others = CollisionModel(arm, table, only={"top": arm.beside_hand}).measure(landed.joints)[0][:, 0]
+    others = CollisionModel(touching, table, only={"top": arm.beside_hand}).measure(landed.joints)[0][:, 0]
     assert others.min() >= 0.008
+
+
+def test_a_hand_that_is_to_grasp_where_it_touches_keeps_its_fingers_open(arm, table):
+    at = np.array([0.62, -0.45, 0.22])
+    events = (Event("contact", 4.0), Event("gripper_close", 4.0))
+    landed = plan(skill_to(arm, at, spread=0.005, events=events), arm, table, samples=2, moved=0)
+    assert landed.feasible and (landed.fingers == arm.gripper.open).all() and not landed.contact.any()
+    assert landed.tip[-1] == pytest.approx(arm.fk(landed.joints[-1])[:3, 3]) and np.linalg.norm(landed.tip[-1] - at) < 0.015
 
 
 def test_a_contact_on_the_way_lets_nothing_come_near(arm, table):
