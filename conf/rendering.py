@@ -19,14 +19,15 @@ def render_path(job: Job, progress) -> dict[str, int | Path]:
     missing = OmegaConf.missing_keys(job.cfg.scene.paths)
     if missing:
         raise ValueError(f"this path needs {missing.pop()}=...")
-    path = instantiate(job.cfg.scene.paths, _convert_="all")([view.camera for view in load_views(job.capture)])
+    cameras, make = [view.camera for view in load_views(job.capture)], instantiate(job.cfg.scene.paths, _convert_="all")
+    file = job.capture / "field.pt"
+    identity, field = hashlib.sha256(file.read_bytes()).hexdigest(), Field.load(file)
+    path = make(cameras, field=field, workspace=workspace(job)) if "suggest" in job.cfg.scene.paths else make(cameras)
     folder = job.capture / "renders" / _name(job)
     folder.parent.mkdir(exist_ok=True)
     with FileLock(job.capture / ".stages" / "renders.lock"):
-        field = job.capture / "field.pt"
-        identity = hashlib.sha256(field.read_bytes()).hexdigest()
         counted = instantiate(job.cfg.scene.film, _convert_="all")(
-            Field.load(field), path, folder, identity=identity, frame=load_frame(job.capture),
+            field, path, folder, identity=identity, frame=load_frame(job.capture),
             save_video=save_video, progress=progress,
         )  # fmt: skip
     return counted | {"folder": folder}

@@ -1,12 +1,13 @@
-"""Camera paths for new views: around the scene, up and down around it, or through the photographed views.
+"""Camera paths for new views: around the scene, up and down around it, through the photographed views, or to the best ones.
 
 Notation
     o_i, R_i    centre and rotation of camera i; focus: the point nearest to all optical axes
     d(a, b)     |o_a - o_b| / r + angle(R_a, R_b): how far two views are apart, r the distance they look from
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -74,6 +75,16 @@ def interpolate(cameras: Sequence[Camera], *, frames: int = 90, keys: int = 8) -
         return CameraPath.through(poses[order], cameras[0])
     gaps = apart[order[:-1], order[1:]]
     return CameraPath.through(_spline(poses[order], gaps, _shares(gaps, frames - 1)), cameras[0])
+
+
+def best(cameras: Sequence[Camera], *, suggest: Callable, frames: int = 3, field=None, workspace=None) -> CameraPath:
+    """The views to sketch on, one a second: the pair that ``suggest`` (`scene.viewpoints.suggest`) proposes, then each next
+    one. field, workspace: as there."""
+    ask = partial(suggest, cameras, field=field, workspace=workspace)
+    views = list(ask().cameras)
+    while len(views) < _checked(frames):
+        views += ask(views).cameras
+    return CameraPath({f"{i:04d}": view for i, view in enumerate(views[:frames])}, fps=1.0)
 
 
 def load(cameras: Sequence[Camera], *, file: str) -> CameraPath:

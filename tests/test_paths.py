@@ -1,5 +1,7 @@
 """Paths around, up and down, and through what was photographed."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -60,6 +62,19 @@ def test_an_orbit_closes():
 def test_an_orbit_does_not_cross_what_nobody_photographed():
     path = paths.orbit(around(orbit(TARGET, 1.5, 30, 12, start_deg=100, sweep_deg=120)), frames=20)
     assert azimuths(path).min() == pytest.approx(100) and azimuths(path).max() == pytest.approx(220)
+
+
+def test_the_best_views_are_the_pair_and_then_each_next_one():
+    photographs, asked = dome(), []
+
+    def suggest(cameras, drawn=(), *, field, workspace):
+        asked.append((len(drawn), field, workspace))
+        return SimpleNamespace(cameras=tuple(cameras[len(drawn) : len(drawn) + (1 if len(drawn) else 2)]))
+
+    path = paths.best(photographs, suggest=suggest, frames=4, field="field", workspace="box")
+    assert list(path.cameras.values()) == photographs[:4] and path.fps == 1.0
+    assert asked == [(0, "field", "box"), (2, "field", "box"), (3, "field", "box")]
+    assert len(paths.best(photographs, suggest=suggest, frames=1).cameras) == 1
 
 
 def test_a_spiral_goes_around_twice_and_stays_within_the_photographs_elevations():

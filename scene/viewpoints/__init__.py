@@ -33,15 +33,15 @@ from scene.viewpoints.motions import MODES, POINTS, left_open, motions_in, smoot
 class Hand:
     """How inexactly a person draws, as fractions of the drawing's extent; defaults are those of people's letters.
 
-    offset, size, smooth: RMS of the parts of a stroke's fault, smooth over ``correlation`` of its length. trembling: RMS
-    of the rest. lag, lag_length: size and correlation length of what arc lengths of views differ by, of the length.
-    strokes: how many are drawn on a view.
+    offset, size, smooth: RMS of the parts of a stroke's fault, the last with Matern's correlation of order 3/2 and length
+    ``correlation``, of the stroke's. trembling: RMS of the rest. lag, lag_length: size and correlation length of what arc
+    lengths of views differ by, of the length. strokes: how many are drawn on a view.
     """
 
     offset: float = 0.03
     size: float = 0.045
     smooth: float = 0.038
-    correlation: float = 0.13
+    correlation: float = 0.15
     trembling: float = 0.005
     lag: float = 0.08
     lag_length: float = 0.15
@@ -73,13 +73,12 @@ def information(camera: Camera, motions, hand: Hand = Hand()) -> np.ndarray:
 def _spread(z, g, hand: Hand) -> np.ndarray:
     """E + g L g^T (n, 2 POINTS, 2 POINTS) [px^2] of strokes z (n, POINTS, 2) with derivatives g."""
     u = np.linspace(0, 1, POINTS)
-    near = lambda length: np.exp(-((u[:, None] - u) ** 2) / (2 * length**2))
-    ends = [0, -1]
-    lag = near(hand.lag_length)
+    away, ends = np.abs(u[:, None] - u), [0, -1]
+    lag, rough = np.exp(-(away**2) / (2 * hand.lag_length**2)), np.sqrt(3) * away / hand.correlation
     lag = hand.lag**2 * (lag - lag[:, ends] @ np.linalg.solve(lag[np.ix_(ends, ends)], lag[ends]))
     S = g[:, :, :, None, None] * lag[:, None, :, None] * g[:, None, None]
     arms, extent2 = z - z.mean(axis=1, keepdims=True), _extent(z)[:, None, None] ** 2
-    common = (hand.offset**2 + hand.smooth**2 * near(hand.correlation)) * extent2 / 2
+    common = (hand.offset**2 + hand.smooth**2 * (1 + rough) * np.exp(-rough)) * extent2 / 2
     rest = (hand.trembling**2 * extent2 + 0.1) * np.eye(POINTS)
     for axis in range(2):
         arm = arms[..., axis]
