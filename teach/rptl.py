@@ -19,6 +19,7 @@ from teach.basis import SquaredExponential
 from teach.contact import CONTACT, contacts, touch
 from teach.contact import warnings as contact_warnings
 from teach.density import Flow
+from teach.hooks import without_hooks
 from teach.hull import visual_hull
 from teach.likelihood import fit_coherent, fit_diagonal, fit_mean, hand_prior, mean_uncertainty, moments_over_time
 from teach.periodic import unrolled
@@ -61,6 +62,7 @@ def fit(
     speed: str = "drawn",
     robust: bool = True,
     routes: bool = True,
+    hooks: bool = True,
     periodic: bool | None = None,
     covariance: str = "coherent",
     predictive: bool = True,
@@ -76,7 +78,8 @@ def fit(
     density: Flow(), or JointFlow() as the paper has it. raytrace: ExactRays(), or Algorithm1(). basis:
     SquaredExponential(). time: what is common to strokes: "aligned" (geometry), "arc_length" or the "drawn" time of
     each, normalised. speed: of the skill, "drawn" (the median of people's) or "uniform". robust: views that contradict
-    the others are left out. routes: strokes that go different ways become different distributions. periodic: whether
+    the others are left out. routes: strokes that go different ways become different distributions. hooks: those of the pen are
+    left out (teach.hooks). periodic: whether
     the motion closes and repeats, None to see it by the strokes (teach.periodic.unrolled) or a periodic basis; the
     skill is a single turn then, in the periodic basis as wide as ``basis``. covariance: "coherent" (full, of whole
     strokes) or "diagonal" (the paper's independent weights). predictive: the coherent covariance is that of a further
@@ -97,6 +100,7 @@ def fit(
     orientation = chosen(sketches)
     regions = visual_hull(sketches)  # outlines that bound nothing are refused before anything is learned
     drawn, slips = without_slips([sketch for sketch in sketches if sketch.motions])
+    drawn, caught = without_hooks(drawn) if hooks else (drawn, [])
     drawn, notes = oriented(drawn)
     ways, questions = split(drawn) if routes else ([drawn], [])
     weights = _Weights(basis, covariance, predictive, smoothness, strength)
@@ -109,7 +113,7 @@ def fit(
     if len(ways) > 1:
         questions.append(f"The strokes go {len(ways)} different ways; each is kept, and planning chooses among them.")
         report["routes"] = [one.report["sentence"] for one in learned]
-    report["warnings"] = slips + notes + questions + [w for w in dict.fromkeys(w for one in learned for w in one.report["warnings"])]
+    report["warnings"] = slips + caught + notes + questions + [w for w in dict.fromkeys(w for one in learned for w in one.report["warnings"])]
     report |= {"turns": turns} if turns else {}
     report["keep_out"] = {region.name: 1e3 * region.volume for region in regions}  # litres
     report["seconds"] = clock.perf_counter() - started
