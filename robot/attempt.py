@@ -85,6 +85,11 @@ class Search:
             leading = max(leading, attempt, key=lambda a: a.rank)
         return attempts
 
+    def ends_clear(self, points) -> bool:
+        """Whether the arm has a posture, clear of everything, at the end of a path (N, 3)."""
+        ends = [profile.end for profile in self._profiles(points, self.postures)]
+        return bool(ends) and bool((self.model.clearance(np.array(ends)) >= self.margin - LANDING * self.lands).any())
+
     def _profiles(self, points, count):
         if self.tool.kind != "free":
             return tool_profiles(self.arm, self.tool, points, self.start)

@@ -120,7 +120,7 @@ def _near(search, points, profile) -> _Near:
     rows, pairs, clearance, by_joints = search.model.close(path[watched], search.comfortable + LONGEST / 2)
     rows = watched[rows]
     size = 3 if profile.turned is None else 6
-    J = np.array([search.arm.jacobian(q)[:size] for q in path]).reshape(len(path), size, -1)
+    J = np.array([search.arm.jacobian(q)[:size] for q in path]).reshape(len(path), size, len(search.start))
     follows = np.linalg.pinv(J, rcond=1e-2)[..., :3]  # (N, J, 3): the joints' answer to the tip's displacement
     gradient, world = np.einsum("kj,kji->ki", by_joints, follows[rows]), search.model.of_world(pairs)
     if wall is None:
@@ -144,6 +144,8 @@ def _followed(search, points, profile):
 
 def least(A, b, cost=MUST) -> np.ndarray:
     """z of least |z|^2 + sum cost s^2 with A z + s >= b: by its dual, a non-negative least squares problem."""
+    if not len(b):
+        return np.zeros(A.shape[1])
     E = np.vstack([A.T, np.diag(1 / np.sqrt(np.broadcast_to(cost, b.shape))), b])
     u, _ = nnls(E, np.append(np.zeros(len(E) - 1), 1.0), maxiter=20 * len(b) + 100)
     r = E @ u

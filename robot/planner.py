@@ -36,6 +36,7 @@ MOVED = -1  # the index of the first way's moved mean; that of the second is one
 BEGINNINGS = 4  # postures where the motion begins that are tried to get to
 ADVICE = "robot.planner.approach=null bends the motion to begin where the hand is"
 AT_THE_END, SNAPPED = 0.97, 0.015  # share of a motion's time; m, of its end from what it is to touch there
+KEPT = 0.005  # m, deviation of where samples end from where the mean does, each axis
 SLOW = 10  # times as long as it was drawn, of which one is told
 STANDS = ("here", "walk", "say")
 POSITION_TOLERANCE = 2e-3  # m, of the timed motion against the candidate
@@ -213,7 +214,7 @@ def _motion(skill, search, samples, waypoints, seed, rate, moved) -> Plan:
     arm, model = search.arm, search.model
     comfortable = -np.inf if search.lands else search.comfortable  # all that land come near to something
     ways = skill.starting_at(arm.fk(search.start)[:3, 3])[:samples]
-    candidates, way = _candidates(ways, samples, waypoints, seed)
+    candidates, way = _candidates(ways, samples, waypoints, seed, search.ends_clear)
     attempts = search.all(candidates, None if skill.hand else skill.orientation)
     detours = _detours(search, ways, attempts, moved)
     said = "; ".join(_said(detour, index) for index, detour in detours.items())
@@ -262,14 +263,17 @@ def _check_start(arm, model, start, margin):
         raise ValueError(f"at the start {a} is {where} {b} (margin {1e3 * margin:.0f} mm); start the arm elsewhere")
 
 
-def _candidates(ways, samples, waypoints, seed):
-    """Paths (samples, N, 3), the means of the ways first, and whose way each goes (samples,)."""
+def _candidates(ways, samples, waypoints, seed, ends_clear):
+    """Paths (samples, N, 3), the means of the ways first, and whose way each goes (samples,). ends_clear(mean): whether the arm
+    can be where it ends; then samples end there too, as the motion is meant to."""
     t, rng = np.linspace(0, 1, waypoints), np.random.default_rng(seed)
     counts = np.diff(np.round((samples - len(ways)) * np.cumsum([0.0] + [way.share for way in ways])).astype(int))
-    paths = [
-        np.concatenate([way.distribution.mean_at(t)[None], way.distribution.sample(count, t, rng)])
-        for way, count in zip(ways, counts, strict=True)
-    ]
+    paths = []
+    for way, count in zip(ways, counts, strict=True):
+        drawn, mean = way.distribution, way.distribution.mean_at(t)
+        if np.isfinite(mean).all() and ends_clear(mean):
+            drawn = drawn.condition(1.0, mean[-1], KEPT**2 * np.eye(3))
+        paths.append(np.concatenate([mean[None], drawn.sample(count, t, rng)]))
     if not all(np.isfinite(part).all() for part in paths):
         raise ValueError("the skill's distribution gives trajectories that are not finite numbers; fit it again")
     of_way = [np.full(len(part), k) for k, part in enumerate(paths)]

@@ -55,6 +55,10 @@ def test_what_is_met_already_changes_nothing():
     np.testing.assert_allclose(least(np.eye(2), np.array([-1.0, -2.0])), 0, atol=1e-9)
 
 
+def test_without_constraints_nothing_changes():
+    np.testing.assert_array_equal(least(np.zeros((0, 3)), np.zeros(0)), np.zeros(3))
+
+
 def test_constraints_that_contradict_each_other_are_shared():
     z = least(np.array([[1.0], [-1.0]]), np.array([0.02, 0.01]))
     np.testing.assert_allclose(z, 0.005, atol=1e-4)

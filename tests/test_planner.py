@@ -307,6 +307,16 @@ def test_repeated_waypoints_are_no_obstacle_to_timing():
     np.testing.assert_allclose(joints[[0, -1]], path[[0, -1]], atol=1e-9)
 
 
+def test_a_sample_that_is_taken_instead_of_the_mean_ends_where_that_does(arm, free):
+    skill = skill_to(arm, GOAL, spread=0.05)
+    middle = skill.starting_at(arm.fk(arm.home)[:3, 3])[0].distribution.mean_at([0.5])[0]
+    ball = free.client.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.02)
+    free.bodies["Ball"] = free.client.createMultiBody(0, ball, -1, middle)
+    found = plan(skill, arm, free, samples=12, moved=0)
+    free.client.removeBody(free.bodies.pop("Ball"))
+    assert found.feasible and found.chosen > 0 and np.linalg.norm(found.tip[-1] - GOAL) < 0.025
+
+
 def test_planning_takes_another_way_where_the_usual_one_is_blocked(arm, free):
     usual, other = (skill_to(arm, GOAL, lift=lift, spread=0.004).distribution for lift in (-0.12, 0.2))
     skill = Skill(usual, 4.0, routes=(Route(0.6, usual), Route(0.4, other)))
