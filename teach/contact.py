@@ -126,7 +126,7 @@ def _touched(view: str, camera: Camera, depth, pixels) -> tuple[np.ndarray, np.n
     if not seen[0]:
         raise SketchError(
             f"the contact marked on view {view!r} (pixel {mean[0]:.0f}, {mean[1]:.0f}) has no surface in its depth "
-            "picture, or none that is sure: mark it on a surface that is seen well there, or on another view"
+            "picture: mark it on a surface that is seen there"
         )
     drawn = ((pixels - mean) ** 2).sum() / (2 * (n - 1)) if n > 1 else (HAND * camera.width) ** 2
     back = camera.world_from_camera[:3, :3] @ np.linalg.inv(camera.K)

@@ -112,7 +112,7 @@ def _require(good, share: float, pixels, what: str) -> None:
         u, v = np.median(pixels[~good], axis=0)
         raise SketchError(
             f"{what} under {bad:.0%} of it (around pixel {u:.0f}, {v:.0f}): draw it where the depth picture shows a "
-            "surface and is sure of it, or sketch the motion on a second view"
+            "surface, or sketch the motion on a second view"
         )
 
 

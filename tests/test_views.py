@@ -67,7 +67,7 @@ def test_depth_is_found_by_a_views_name_if_its_camera_is_the_same(tmp_path):
     assert views.load_depths(tmp_path, {"a": cameras["b"]}) == {}
 
 
-def test_depth_of_little_confidence_is_none_and_the_confidence_beside_it_is_read(tmp_path):
+def test_depth_of_less_confidence_than_asked_is_none_and_the_confidence_beside_it_is_read(tmp_path):
     cameras = {"a": around(orbit(TARGET, 1, 20, 1), 32, 24)[0]}
     save_views(tmp_path, views.render(Painter(passes=0.9), cameras, tmp_path), images=".")
     with Image.open(tmp_path / "a_confidence.png") as stored:
@@ -75,9 +75,9 @@ def test_depth_of_little_confidence_is_none_and_the_confidence_beside_it_is_read
     sure = views.load_confidences(tmp_path, cameras)["a"]
     assert sure.dtype == np.float32 and (sure[:, :16] == 1).all()
     assert sure[:, 16:] == pytest.approx(0.5 / 0.9 - 0.5 * 0.9, abs=0.5 / 255)
-    depth = views.load_depths(tmp_path, cameras)["a"]
+    depth = views.load_depths(tmp_path, cameras, sure=0.3)["a"]
     assert depth.dtype == np.float32 and (depth[:, :16] == 2.5).all() and np.isnan(depth[:, 16:]).all()
-    assert (views.load_depths(tmp_path, cameras, sure=0.1)["a"] == 2.5).all()
+    assert (views.load_depths(tmp_path, cameras)["a"] == 2.5).all()
 
 
 def test_depth_without_a_confidence_is_sure_and_with_that_of_another_picture_refused(tmp_path):
