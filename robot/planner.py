@@ -97,9 +97,7 @@ def plan(
     regions, only = regions_of(skill.keep_out, outlined_for, keep_out)
     held = dict.fromkeys(held, start)
     only |= dict.fromkeys(getattr(world, "touch", ()), arm.beside_hand)
-    touch, beside = _touch(skill, arm, world, held)
-    if touch is not None:
-        arm = touching(arm, CollisionModel(arm, world, held=held), skill.events)
+    arm, touch, beside = _touch(skill, arm, world, held)
     landing = dict.fromkeys(beside, [*hand_of(arm), *held])
     only = {name: links for name, links in only.items() if name not in landing}
     model = CollisionModel(arm, world, regions, only=only, held=held, landing=landing, margin=margin)
@@ -141,13 +139,13 @@ def _joined(arm, lead, motion) -> Plan:
     return both
 
 
-def _touch(skill, arm, world, held) -> tuple[np.ndarray | None, list[str]]:
-    """Where (3,) [m] a motion that ends with a contact is to touch, None for any other, and the bodies there."""
+def _touch(skill, arm, world, held) -> tuple:
+    """The arm as it touches, where (3,) [m] a motion that ends with a contact is to, None for any other, and the bodies there."""
     if world is None or not any(event.name == "contact" and event.time > AT_THE_END * skill.duration for event in skill.events):
-        return None, []
-    end = skill.distribution.mean_at([1.0])[0]
-    beside = CollisionModel(arm, world, held=held).beside(end, SNAPPED)
-    return (end if beside else None), beside
+        return arm, None, []
+    end, model = skill.distribution.mean_at([1.0])[0], CollisionModel(arm, world, held=held)
+    beside = model.beside(end, SNAPPED)
+    return (touching(arm, model, skill.events), end, beside) if beside else (arm, None, [])
 
 
 def _mount(arm, world) -> str | None:

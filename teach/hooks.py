@@ -18,6 +18,7 @@ import numpy as np
 from teach.align import arc_length, backwards
 from teach.curve import extent
 from teach.sketch import Sketch, Stroke
+from teach.turns import piece
 
 REACH, LEAST = 0.07, 0.01
 """The longest hook, of the arc length; the shortest, of the drawing's extent."""
@@ -72,10 +73,6 @@ def _meant(k: int, chords) -> bool:
 
 def _from(stroke: Stroke, share: float) -> Stroke:
     """The stroke from that share of its arc length on; what happens before happens there."""
-    along = arc_length(stroke)
-    left = along > share
-    at = lambda values: np.concatenate([[np.interp(share, along, values)], values[left]])
-    points, times = np.stack([at(axis) for axis in stroke.points.T], axis=1), at(stroke.times)
-    events = tuple(replace(event, time=max(event.time, float(times[0]))) for event in stroke.events)
-    pressure = None if stroke.pressure is None else at(stroke.pressure)
-    return replace(stroke, points=points, times=times, events=events, pressure=pressure)
+    number = np.arange(len(stroke.points))
+    kept = piece(stroke, np.interp(share, arc_length(stroke), number), number[-1], stroke.events)
+    return replace(kept, events=tuple(replace(event, time=max(event.time, float(kept.times[0]))) for event in kept.events))

@@ -173,12 +173,12 @@ def _pieces(stroke: Stroke, found) -> list[Stroke]:
     inner = np.interp(indices[1:-1], number, stroke.times)
     owner = np.searchsorted(inner, [event.time for event in stroke.events], side="right")
     return [
-        _piece(stroke, i, j, tuple(event for event, its in zip(stroke.events, owner, strict=True) if its == k))
+        piece(stroke, i, j, tuple(event for event, its in zip(stroke.events, owner, strict=True) if its == k))
         for k, (i, j) in enumerate(zip(indices[:-1], indices[1:], strict=True))
     ]
 
 
-def _piece(stroke: Stroke, i: float, j: float, events) -> Stroke:
+def piece(stroke: Stroke, i: float, j: float, events) -> Stroke:
     """The stroke from its i-th to its j-th point, both fractional and interpolated."""
     index = np.concatenate([[i], np.arange(np.floor(i) + 1, np.ceil(j)), [j]])
     at = lambda values: np.interp(index, np.arange(len(values)), values)
