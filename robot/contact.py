@@ -6,12 +6,15 @@ touches means the end of the hand. So a hand that touches has its fingers closed
     c = (nearest to the tip's z axis of the ends' box, h)     h: the largest z of the hand's shapes and of what it holds
 
 in the tip's frame. A hand that opens or closes on the way grasps: that is done between its fingers, and nothing is changed.
+The fingers close where the arm stands at the start; what they sweep there must be as clear as the rest of the motion.
 """
 
 from dataclasses import replace
 
 import numpy as np
 
+from robot.attempt import RESOLUTION
+from robot.collision import CollisionModel
 from robot.separation import support
 from robot.shapes import transform
 
@@ -28,6 +31,15 @@ def touching(arm, model, events):
     return replace(closed, contact=_end(closed, model))
 
 
+def closing(arm, world, regions, start, margin, **bound) -> tuple[str, str] | None:
+    """The names of what comes nearer to each other than ``margin`` [m] while the open fingers close in the posture ``start`` (J,); None
+    where nothing does, to within the resolution. arm: as it is before. world, regions, bound: as CollisionModel takes them."""
+    model = CollisionModel(_with_fingers(arm), world, regions, margin=margin, **bound)
+    ends = np.stack([np.append(start, fingers) for fingers in (arm.gripper.open, arm.gripper.closed)])
+    sweep = model.sweep(ends, required=margin, resolution=RESOLUTION)
+    return None if sweep.clearance[0] >= margin - RESOLUTION else sweep.pairs[0]
+
+
 def as_planned(arm, plan):
     """The Arm as a Plan has it: where its fingers are, and the point that is to touch."""
     return replace(arm, gripper=replace(arm.gripper, open=plan.fingers), contact=plan.contact) if plan.touches else arm
@@ -36,6 +48,14 @@ def as_planned(arm, plan):
 def hand_of(arm) -> list[str]:
     """The links that cannot move against the tip."""
     return [link for link in arm.link_names if link not in arm.beside_hand]
+
+
+def _with_fingers(arm):
+    """The Arm with its gripper's joints behind its own, closed at home, however fast they are."""
+    fingers, steady = np.stack([arm.gripper.open, arm.gripper.closed]), np.ones(len(arm.gripper.joints))
+    more = {"lower": fingers.min(axis=0), "upper": fingers.max(axis=0), "home": fingers[1], "velocity": steady, "acceleration": steady}
+    joined = {name: np.append(getattr(arm, name), values) for name, values in more.items()}
+    return replace(arm, joint_names=(*arm.joint_names, *arm.gripper.joints), **joined)
 
 
 def _end(arm, model) -> np.ndarray:

@@ -11,7 +11,8 @@ Notation
 for all waypoints t and pairs, once for the margin (MUST) and once for what is comfortable (MAY); linearised again after
 each step (sequential quadratic programming), a least distance problem each time (Lawson & Hanson 1974, ch. 23). Where
 that gets stuck, it begins again from four motions that go by on either side, above and below. A waypoint out of reach
-pushes like a wall. The start is where S says (conditioned: it has no freedom), the end is kept by conditioning on it.
+pushes like a wall. The start is where S says (conditioned: it has no freedom), the end is kept by conditioning on it; before, an
+end out of reach is moved to the nearest place within it.
 """
 
 from dataclasses import dataclass, replace
@@ -28,6 +29,7 @@ MUST, MAY = 1e8, 1e4  # 1/m^2: 1 mm less than the margin costs as much as 10 dev
 STRIDE = 3  # every third waypoint is watched; the result is checked at all and between them
 BUFFER = 3e-3  # m, beyond the margin, for what happens between waypoints
 ASIDE = 0.1  # m, how far aside other beginnings are
+INSIDE, LIKELY = 5e-3, 2.0  # m, from the rim of the reach; deviations, by which an end out of reach is moved at most
 LITTLE, SETTLED = 1e-3, 2e-3  # m: less clearance than that is no gain; a step that moves the path by less is the last
 
 
@@ -39,6 +41,27 @@ class Moved:
     attempt: Attempt
     distance: float
     deviations: float
+
+
+def within_reach(search, way, farthest) -> tuple:
+    """A Route (conditioned on the start), and no words; where its end is out of the arm's reach, the same to the nearest place within it and
+    what is said of that, if it is no farther than ``farthest`` [m] and the distribution has it so near."""
+    end, spread = way.distribution.mean_at([1.0])[0], way.distribution.covariance_at([1.0])[0]
+    if search.lands or search.arm.legs or not np.isfinite(end).all():
+        return way, ""
+    pose = np.eye(4)
+    pose[:3, 3] = end
+    try:
+        search.arm.ik(pose, start=search.start, position_only=True)
+        return way, ""
+    except NoSolution as error:
+        short = search.arm.fk(error.posture)[:3, 3] - end
+    short *= 1 + INSIDE / np.linalg.norm(short)
+    far, deviations = np.linalg.norm(short), np.sqrt(short @ np.linalg.inv(spread + 1e-6 * np.eye(3)) @ short)
+    if far > farthest or deviations > LIKELY:
+        return way, ""
+    said = f"it ends {1e3 * far:.0f} mm ({deviations:.1f} deviations) before the taught end, which is out of reach"
+    return replace(way, distribution=way.distribution.condition(1.0, end + short)), said
 
 
 def moved_mean(search: Search, distribution, first: Attempt, index: int, farthest: float) -> Moved | None:

@@ -24,10 +24,11 @@ from scene.camera import Camera, look_at
 from scene.files import parse_npz, replacing
 
 AT_REST, PATIENCE = 0.01, 3.0  # m/s; s after the motion that are waited for things to be slower
+PRESSED = 0.1  # s, over which a force is averaged: what presses, not what knocks
 STRIP = 6  # pictures of a filmstrip
 NO_FILM = np.zeros((0, 0, 0, 3), np.uint8)
 WORDS = ("names", "touched", "touched_by", "conditions", "said")
-NUMBERS = ("duration", "final_error", "success", "fps", "fastest", "foot_slip", "touch_error")
+NUMBERS = ("duration", "final_error", "success", "fps", "fastest", "foot_slip", "touch_error", "press")
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +42,7 @@ class Execution:
     plan's end. conditions: names of the world's, with what was measured (K,), its bound (K,), whether each is met (K,)
     and said, in words. fastest [m/s]: of all things. foot_slip [m]: the farthest that a foot moved while it stood, 0 without
     legs. touch_error [m]: from where the hand was to touch to the nearest point of it and of what it holds, at the end; nan where it was
-    not to. success: all are met. frames (F, H, W, 3) uint8 at ``fps``: the
+    not to. press [N]: the largest force, over PRESSED seconds, on what the robot is to touch and does not hold. success: all are met. frames (F, H, W, 3) uint8 at ``fps``: the
     film, not kept by ``save``.
     """
 
@@ -66,6 +67,7 @@ class Execution:
     success: bool
     foot_slip: float
     touch_error: float
+    press: float
     fps: float
     frames: np.ndarray
 
@@ -86,6 +88,7 @@ class Execution:
             "success": bool(self.success),
             "fastest_thing_m_s": float(self.fastest),
             "foot_slip_mm": 1e3 * float(self.foot_slip),
+            "press_n": float(self.press),
             **({} if np.isnan(self.touch_error) else {"touch_error_mm": 1e3 * float(self.touch_error)}),
             "conditions": {name: {"measured": float(value), "bound": float(bound), "met": bool(met)}
                            for name, value, bound, met in zip(self.conditions, self.measured, self.bounds, self.met)},
@@ -106,6 +109,7 @@ class Execution:
             f"{numbers['tracking_error_max_mm']:.2f} mm at most; "
             f"{'; '.join(touches) if touches else 'nothing was touched'}"
             f"{'' if np.isnan(self.touch_error) else f'; it reached to {1e3 * self.touch_error:.1f} mm from the point that it was to touch'}"
+            f"{f'; it pressed with up to {self.press:.0f} N on what it was to touch' if self.press >= 1 else ''}"
             f"{'; not as it was to be: ' if unmet else ''}{'; '.join(unmet)}"
         )
 
@@ -123,7 +127,7 @@ class Execution:
 
     @classmethod
     def _parsed(cls, arrays) -> "Execution":
-        later = {"foot_slip": np.array(0.0), "touch_error": np.array(np.nan)}  # earlier files have none
+        later = {"foot_slip": np.array(0.0), "touch_error": np.array(np.nan), "press": np.array(0.0)}  # earlier files have none
         values = {f.name: (later | arrays)[f.name] for f in fields(cls) if f.name != "frames"}
         words = {name: tuple(values[name].tolist()) for name in WORDS}
         numbers = {name: values[name].item() for name in NUMBERS}
@@ -147,13 +151,15 @@ def perform(plan, arm, world, *, events=(), camera=None, fps=12.5, width=480, he
     legs = _legs(arm, motion, duration)
     wanted = lambda time: np.concatenate([motion(min(time, duration)), legs(time)])
     coming = sorted(events, key=lambda event: event.time)
-    times, joints, tip, feet, frames, touches, fastest = [], [], [], [], [], {}, 0.0
+    times, joints, tip, feet, frames, presses, touches, fastest = [], [], [], [], [], [], {}, 0.0
     for time in _clock(duration, settle, world):
         if times:
             robot.step(wanted(times[-1]), wanted(time))
         while coming and coming[0].time <= time + STEP / 2:
             robot.happen(coming.pop(0).name, world)
-        _note_touches(touches, robot.touches(), world, time)
+        seen = robot.touches()
+        _note_touches(touches, seen, world, time)
+        presses.append(_pressing(seen, world))
         fastest = max([fastest, *map(world.speed, world.movable)])
         state, position = robot.state()
         times.append(time), joints.append(state), tip.append(position), feet.append(robot.feet_down())
@@ -181,6 +187,7 @@ def perform(plan, arm, world, *, events=(), camera=None, fps=12.5, width=480, he
         all(v.met for v in verdicts),
         slipped(np.array(feet)),
         robot.distance(plan.touch, world.in_hand) if plan.touches else np.nan,
+        _sustained(presses),
         float(fps),
         np.array(frames) if frames else NO_FILM,
     )
@@ -268,11 +275,23 @@ def _note_touches(touches: dict, seen, world, time) -> None:
     """touches: {body: (link, time, deepest overlap)}, of each body that is not to be touched the first touch and the
     depth of the deepest."""
     names = {body: name for name, body in world.bodies.items()}
-    for body, link, depth in seen:
+    for body, link, depth, _ in seen:
         name = names.get(body, f"body {body}")
         if name not in world.touchable:
             first = touches.setdefault(name, (link, time, depth))
             touches[name] = (*first[:2], max(first[2], depth))
+
+
+def _pressing(seen, world) -> float:
+    """The force [N] on what the robot is to touch and does not hold."""
+    meant = {world.bodies[name] for name in world.touchable & world.bodies.keys()} - {*world.in_hand}
+    return sum(force for body, _, _, force in seen if body in meant)
+
+
+def _sustained(forces) -> float:
+    """The largest of forces (N,) [N] a step, averaged over PRESSED seconds."""
+    steps = min(round(PRESSED / STEP), len(forces))
+    return float(np.convolve(forces, np.full(steps, 1 / steps), "valid").max())
 
 
 def _columns(touches: dict):

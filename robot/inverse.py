@@ -25,7 +25,7 @@ TOOLS = ("free", "kept", "pointed", "tangent")
 
 
 class NoSolution(ValueError):
-    """No posture reaches what was asked.
+    """No posture reaches what was asked; ``posture`` (J,) comes nearest.
 
     Along a path: ``waypoint``, the index of the first that cannot be had, ``path`` (waypoint, J), the postures before
     it, and ``posture`` (J,), the one that comes nearest to it, None where it could be had but for a jump.
@@ -128,7 +128,7 @@ def solve(arm, base_from_tip, start, rows, restarts, comfort, seed, position_tol
     close = position_tolerance / 10, rotation_tolerance / 10
     q, position, rotation = kinematics.solve(arm.chain, arm.lower, arm.upper, target, starts, rows, 0.0, 80, *close)
     if position > position_tolerance or rotation > rotation_tolerance:
-        raise NoSolution(_why(arm, "the position" if rows == POSITION else "the pose", q, position, rotation))
+        raise NoSolution(_why(arm, "the position" if rows == POSITION else "the pose", q, position, rotation), posture=q)
     return _comfortable(arm, target, q, comfort, rows, close) if comfort > 0 else q
 
 

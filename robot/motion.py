@@ -20,7 +20,7 @@ class Plan:
     mean. way: of the skill's ways the one that is followed, the most usual is 0. feasible: whether the
     motion passed every check; where False, ``joints`` are the least bad candidate, not to be performed. begins [s]: when the
     taught motion does, after the way to where it begins. stands: where the robot goes to stand first, or would have to, and why.
-    slow: where the taught motion takes very much longer than it was drawn, how long. touch (3,) [m]: where the hand is to touch at its
+    ends: where the taught end was out of reach, how far before it the motion ends. slow: where the taught motion takes very much longer than it was drawn, how long. touch (3,) [m]: where the hand is to touch at its
     end, nan where it is not to; contact (3,) [m] and fingers (G,): of the hand that does, see contact.py; ``tip`` is its contact point.
     """
 
@@ -40,6 +40,7 @@ class Plan:
     begins: float = 0.0
     stands: str = ""
     slow: str = ""
+    ends: str = ""
     touch: np.ndarray = field(default_factory=lambda: np.full(3, np.nan))
     contact: np.ndarray = field(default_factory=lambda: np.zeros(3))
     fingers: np.ndarray = field(default_factory=lambda: np.zeros(0))
@@ -52,7 +53,7 @@ class Plan:
     def sentence(self) -> str:
         """What came of it, in one line."""
         if not self.feasible:
-            more = "".join(f"; {said}" for said in (self.moved, self.stands) if said)
+            more = "".join(f"; {said}" for said in (self.moved, self.ends, self.stands) if said)
             return f"none of {self.samples} candidates is feasible; {self.refusals[self.chosen]}{more}"
         which = (title(self.chosen) if self.chosen >= 0 else self.moved) + f" (way {self.way + 1})" * (self.way > 0)
         feasible, clear, error = (
@@ -63,7 +64,7 @@ class Plan:
         return (
             f"{which} is taken, {feasible} of {self.samples} candidates are feasible: {self.times[-1]:.1f} s, "
             f"at least {clear:.0f} mm clear of the world, position within {error:.2f} mm"
-        ) + "".join(f"; {said}" for said in (self.slow, self.stands) if said)
+        ) + "".join(f"; {said}" for said in (self.ends, self.slow, self.stands) if said)
 
     def joint_trajectory(self) -> dict:
         """In the layout of ROS 2's trajectory_msgs/JointTrajectory; the first point is the present state."""
@@ -84,7 +85,7 @@ class Plan:
 
     def save(self, path) -> None:
         """Write an npz file, whole or not at all."""
-        words = ("names", "refusals", "moved", "stands", "slow")
+        words = ("names", "refusals", "moved", "stands", "slow", "ends")
         values = {f.name: np.array(getattr(self, f.name), dtype=str if f.name in words else None) for f in fields(self)}
         with replacing(path) as temporary:
             np.savez(temporary, **values)
@@ -96,11 +97,11 @@ class Plan:
 
     @classmethod
     def _parsed(cls, arrays) -> "Plan":
-        later = {"way": np.array(0), "moved": np.array(""), "begins": np.array(0.0), "stands": np.array(""), "slow": np.array(""),
+        later = {"way": np.array(0), "moved": np.array(""), "begins": np.array(0.0), "stands": np.array(""), "slow": np.array(""), "ends": np.array(""),
                  "touch": np.full(3, np.nan), "contact": np.zeros(3), "fingers": np.zeros(0)}  # earlier files have none
         values = {f.name: (later | arrays)[f.name] for f in fields(cls)}
         words = {name: tuple(values[name].tolist()) for name in ("names", "refusals")}
-        numbers = {name: values[name].item() for name in ("samples", "chosen", "feasible", "way", "moved", "begins", "stands", "slow")}
+        numbers = {name: values[name].item() for name in ("samples", "chosen", "feasible", "way", "moved", "begins", "stands", "slow", "ends")}
         return cls(**values | words | numbers)
 
     def after(self, lead, velocity, acceleration) -> "Plan":

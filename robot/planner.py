@@ -6,7 +6,8 @@
     2. For each, find a joint path that keeps the tip on it (postures.py: which way the hand is turned is free unless
        taught) and measure its clearance to the world and to the arm itself, swept between waypoints (collision.py).
        All profiles are tried on the mean; the samples begin with those that served the mean best (attempt.py).
-       A mean that is refused is moved away from what it meets, as little as its distribution says (deform.py).
+       A mean that is refused is moved away from what it meets, as little as its distribution says (deform.py); an end out of
+       reach gives way to the nearest place within it, if the distribution has it so near.
     3. Of the feasible candidates take the most likely that is ``comfortable`` clear; if none is, the one with most
        clearance.
     4. Time it (timing.py) and check the timed motion once more, as it will be performed.
@@ -25,8 +26,8 @@ from robot.approach import BESIDE, beginnings
 from robot.approach import approach as approach_path
 from robot.attempt import RESOLUTION, Attempt, Search, swept_refusal, title
 from robot.collision import ITSELF, WORLD, CollisionModel
-from robot.contact import hand_of, touching
-from robot.deform import Moved, moved_mean
+from robot.contact import closing, hand_of, touching
+from robot.deform import Moved, moved_mean, within_reach
 from robot.inverse import NoSolution, tool_of
 from robot.keepout import regions_of
 from robot.motion import Plan
@@ -83,7 +84,7 @@ def plan(
     feasible; "say", it is said of an arm too where its base would have to stand.
     Regions are kept clear of as if they were bodies. A skill with a "contact" at its end ends where the hand touches what is
     there, its fingers closed if they do nothing on the way (contact.py). The motion takes at least ``skill.duration``. Raises ValueError where
-    the start itself is out of limits or too close to something, NoSolution where the beginning cannot be reached,
+    the start itself is out of limits or too close to something, or its fingers when they close there, NoSolution where the beginning cannot be reached,
     SketchError where outlines bound no region.
     """
     if samples < 1 or waypoints < 2:
@@ -97,11 +98,14 @@ def plan(
     regions, only = regions_of(skill.keep_out, outlined_for, keep_out)
     held = dict.fromkeys(held, start)
     only |= dict.fromkeys(getattr(world, "touch", ()), arm.beside_hand)
-    arm, touch, beside = _touch(skill, arm, world, held)
+    opened, (arm, touch, beside) = arm, _touch(skill, arm, world, held)
     landing = dict.fromkeys(beside, [*hand_of(arm), *held])
     only = {name: links for name, links in only.items() if name not in landing}
-    model = CollisionModel(arm, world, regions, only=only, held=held, landing=landing, margin=margin)
+    bound = {"only": only, "held": held, "landing": landing}
+    model = CollisionModel(arm, world, regions, margin=margin, **bound)
     _check_start(arm, model, start, margin)
+    if (arm.gripper.open != opened.gripper.open).any():
+        _check_closing(closing(opened, world, regions, start, margin, **bound), margin)
     tool = tool_of(skill.hand or orientation, orientation_tolerance, arm.fk(start)[:3, :3])
     here = Search(arm, model, start, margin, comfortable, postures, tool, touch)
     from_there = lambda begin: _performed(skill, replace(here, start=begin), approach, seed, samples, waypoints, rate, moved)
@@ -212,6 +216,7 @@ def _motion(skill, search, samples, waypoints, seed, rate, moved) -> Plan:
     arm, model = search.arm, search.model
     comfortable = -np.inf if search.lands else search.comfortable  # all that land come near to something
     ways = skill.starting_at(arm.fk(search.start)[:3, 3])[:samples]
+    ways, ends = zip(*(within_reach(search, way, moved) for way in ways))
     candidates, way = _candidates(ways, samples, waypoints, seed, search.ends_clear)
     attempts = search.all(candidates, None if skill.hand else skill.orientation)
     detours = _detours(search, ways, attempts, moved)
@@ -229,10 +234,11 @@ def _motion(skill, search, samples, waypoints, seed, rate, moved) -> Plan:
         if not refusals[attempt.index]:
             del refusals[attempt.index]
             chosen = _plan(arm, timed, refusals, attempt.index, samples, int(way[attempt.index]), said, True)
-            return replace(_touching(chosen, search), slow=_slow(timed.times[-1], skill.duration))
+            return replace(_touching(chosen, search), slow=_slow(timed.times[-1], skill.duration), ends=ends[chosen.way])
     least_bad = max((a for a in attempts if a.index >= 0), key=lambda a: a.rank)
     timed = _untimely(arm, model, least_bad, skill.duration, rate)
-    return _touching(_plan(arm, timed, refusals, least_bad.index, samples, int(way[least_bad.index]), said, False), search)
+    refused = _plan(arm, timed, refusals, least_bad.index, samples, int(way[least_bad.index]), said, False)
+    return replace(_touching(refused, search), ends=ends[refused.way])
 
 
 def _touching(motion, search) -> Plan:
@@ -259,6 +265,12 @@ def _check_start(arm, model, start, margin):
     if clearance < margin:
         where = f"{-1e3 * clearance:.0f} mm inside" if clearance < 0 else f"only {1e3 * clearance:.1f} mm from"
         raise ValueError(f"at the start {a} is {where} {b} (margin {1e3 * margin:.0f} mm); start the arm elsewhere")
+
+
+def _check_closing(near, margin):
+    if near:
+        raise ValueError(f"the motion ends with a contact, so the fingers close at the start: there {near[0]} comes within {1e3 * margin:.0f} mm "
+                         f"of {near[1]}; start the arm elsewhere")  # fmt: skip
 
 
 def _candidates(ways, samples, waypoints, seed, ends_clear):

@@ -94,12 +94,12 @@ class Robot:
         self.client.removeBody(probe)
         return min((p[8] + PROBE for points in near for p in points), default=np.inf)
 
-    def touches(self) -> list[tuple[int, str, float]]:
-        """(body, link, overlap [m]) of what the robot touches now; its fixed foot may stand on something."""
+    def touches(self) -> list[tuple[int, str, float, float]]:
+        """(body, link, overlap [m], force [N]) of what the robot touches now; its fixed foot may stand on something."""
         self.client.performCollisionDetection()
         points = self.client.getContactPoints(bodyA=self.body)
         standing = lambda p: p[3] in self.feet and abs(p[7][2]) > UPRIGHT
-        return [(p[2], self.links[p[3]], -p[8]) for p in points
+        return [(p[2], self.links[p[3]], -p[8], p[9]) for p in points
                 if p[2] != self.body and p[3] >= 0 and p[8] < TOUCHING and not standing(p)]  # fmt: skip
 
     def feet_down(self) -> np.ndarray:

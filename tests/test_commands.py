@@ -131,12 +131,6 @@ def test_a_truncated_picture_is_named(tmp_path):
     refused(scene2skill("photos=cut", cwd=tmp_path), "2.png")
 
 
-def test_pictures_of_different_sizes(tmp_path):
-    folder = photographs(tmp_path / "mixed")
-    Image.new("RGB", (32, 32)).save(folder / "9.png")
-    refused(scene2skill("photos=mixed", cwd=tmp_path), "size")
-
-
 @pytest.mark.parametrize(("name", "word"), [("tags.json", "tags"), ("arm_poses.json", "base_from_flange"), ("distance.json", "from"), ("poses.json", "frames")])
 def test_a_broken_file_of_the_robots_frame_is_named_before_anything_is_reconstructed(tmp_path, name, word):
     folder = photographs(tmp_path / "scene")
@@ -154,6 +148,12 @@ def test_pictures_that_do_not_overlap(tmp_path):
     photographs(tmp_path / "noise", 4, (320, 240))
     refused(scene2skill("photos=noise", cwd=tmp_path), "overlap")
     assert not (tmp_path / "data" / "noise" / "transforms.json").exists()
+
+
+def test_an_arm_without_its_urdf_is_named_before_anything_is_photographed(tmp_path):
+    (tmp_path / "mine.yaml").write_text("urdf: mine.urdf\n")
+    refused(scene2skill("world=tiny", "robot/arm=file", "robot.arm.name_or_path=mine.yaml", cwd=tmp_path), "no URDF at mine.urdf")
+    assert not list(tmp_path.glob("data/*/photos"))
 
 
 def test_a_world_with_a_negative_size(tmp_path):

@@ -7,7 +7,7 @@ import pytest
 from robot import worldfile
 from robot.arm import Arm
 from robot.collision import CollisionModel
-from robot.contact import hand_of, touching
+from robot.contact import closing, hand_of, touching
 from robot.execution import perform
 from robot.planner import plan
 from robot.world import World
@@ -81,6 +81,38 @@ def test_the_hand_reaches_the_point_in_the_simulator(panda):
     assert done.touch_error < 0.005 and done.metrics["touch_error_mm"] < 5
     assert np.linalg.norm(done.tip[-1] - taught.mean_at([1.0])[0]) < 0.01
     assert "from the point that it was to touch" in done.sentence
+
+
+@pytest.mark.parametrize(("name", "beside"), [("panda", [0.0, 0.028, -0.01]), ("z1", [-0.05, 0.0, -0.03])])
+def test_fingers_that_would_close_on_something_are_refused(name, beside):
+    """A pin between the open finger and where it ends: clear of the open hand, clear of the closed one."""
+    arm = Arm.load(name)
+    start = (arm.fk(arm.home) @ _shifted(beside))[:3, 3]
+    towards = start + np.array([0.12, 0.05, 0.0])
+    pin = {"name": "pin", "shape": "cylinder", "radius": 0.001, "height": 0.002, "position": start.tolist()}
+    wall = {"name": "wall", "shape": "box", "size": [0.02, 0.02, 0.02], "position": towards.tolist()}
+    t, basis, begin = np.linspace(0, 1, 60), SquaredExponential(10, 30.0), arm.fk(arm.home)[:3, 3]
+    weights = np.linalg.lstsq(basis(t), begin + t[:, None] * (towards - begin), rcond=None)[0]
+    touches = Skill(TrajectoryDistribution(basis, weights, 1e-8 * np.eye(30)), 3.0, events=(Event("contact", 3.0),))
+    with World.from_spec({"name": "pin", "objects": [pin, wall]}, textured=False) as world:
+        for hand in (arm, touching(arm, CollisionModel(arm), ())):
+            assert CollisionModel(hand, world).clearance(arm.home) > 0.006
+        assert "pin" in closing(arm, world, (), arm.home, 0.006)
+        with pytest.raises(ValueError, match=r"the fingers close at the start: there \w+ comes within 6 mm of pin"):
+            plan(touches, arm, world.obstacles, samples=1, margin=0.006)
+    with World.from_spec({"name": "no pin", "objects": [wall]}, textured=False) as world:
+        assert closing(arm, world, (), arm.home, 0.006) is None
+
+
+def test_a_hand_that_touches_is_closed_along_the_whole_way(panda):
+    """Two posts beside the hand, nearer than its open fingers: it is the closed hand whose clearance is told."""
+    closed = touching(panda, CollisionModel(panda), ())
+    posts = [{"name": f"post{side:+d}", "shape": "cylinder", "radius": 0.01, "height": 0.02,
+              "position": (panda.fk(panda.home) @ _shifted([0.0, 0.055 * side, 0.0]))[:3, 3].tolist()} for side in (-1, 1)]  # fmt: skip
+    with World.from_spec({"name": "posts", "objects": posts}, textured=False) as world:
+        assert CollisionModel(panda, world).clearance(panda.home) < 0
+        assert CollisionModel(closed, world).clearance(panda.home) > 0.01
+        assert closing(panda, world, (), panda.home, 0.01) is not None
 
 
 def _shifted(offset) -> np.ndarray:

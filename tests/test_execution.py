@@ -115,6 +115,19 @@ def test_the_same_motion_without_the_post_touches_nothing_and_ends_where_planned
     assert not done.success and done.final_error > 0.05  # but not where this world wants it
 
 
+def test_a_thing_is_pushed_over_a_table_with_the_force_of_its_friction(arm):
+    """mu m g, while the hand swings sideways against it."""
+    top = {"name": "top", "shape": "box", "size": [0.6, 0.8, 0.04], "position": [0.4, 0.2, 0.36], "friction": 0.5}
+    crate = {"name": "crate", "shape": "box", "size": [0.14, 0.1, 0.16], "position": [0.29, 0.14, 0.46], "mass": 2.0, "friction": 0.8}
+    spec = {"name": "push", "objects": [top, crate], "touch": ["crate"], "view": {"target": [0.3, 0, 0.4]}}
+    with World.from_spec(spec, textured=False) as world:
+        done = perform(turned(arm, [0], 0.45, duration=4.0), arm, world, fps=0)
+        moved = world.pose("crate")[1, 3] - 0.14
+    assert moved > 0.02 and done.touched == ()
+    assert done.press == pytest.approx(0.5 * 0.8 * 2.0 * 9.81, rel=0.2)
+    assert f"it pressed with up to {done.press:.0f} N" in done.sentence and done.metrics["press_n"] == done.press
+
+
 def test_motors_are_bound_by_their_effort_and_hold_the_arm_against_gravity(arm, tiny, monkeypatch):
     """An arm whose motors are too weak sinks: the simulated arm is driven, not placed."""
     robot = Robot(arm, tiny.client, arm.home)

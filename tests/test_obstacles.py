@@ -5,9 +5,13 @@ from scipy.spatial import ConvexHull
 
 from robot.arm import Arm
 from robot.collision import WORLD, CollisionModel
+from robot.execution import perform
 from robot.obstacles import around, on_the_arm, reconstructed, split, unseen
+from robot.planner import plan
 from robot.world import World
 from scene.surface.space import FREE, OCCUPIED, UNSEEN, Space
+from teach.basis import SquaredExponential
+from teach.trajectory import Skill, TrajectoryDistribution
 
 
 @pytest.fixture(scope="module")
@@ -117,3 +121,31 @@ def test_a_box_that_is_none_is_said(tmp_path):
     folder = capture(tmp_path, ([0.3, 0.8, 0.4], [0.5, 0.0, 0.0]))
     with pytest.raises(ValueError, match="the box parcel must have lower below upper"):
         reconstructed(folder, None, np.zeros((1, 3)), np.zeros((1, 3)), touch=[{"name": "parcel", "lower": [1, 0, 0], "upper": [0, 1, 1]}])
+
+
+def test_a_motion_into_a_thing_is_planned_once_that_may_be_touched_and_touches_nothing_else(tmp_path, arm):
+    """Pieces a few millimetres larger than the truth, the parcel in one piece with the table, a post beside, unseen space behind."""
+    table, parcel, post = ([0.4, 1.0, 0.1], [0.6, 0.0, 0.15]), ([0.1, 0.1, 0.1], [0.6, 0.0, 0.25]), ([0.04, 0.04, 0.4], [0.6, 0.25, 0.4])
+    grown = [np.array(table[0]) + 0.006, np.array(post[0]) + 0.006]
+    folder = capture(tmp_path, (grown[0], table[1]), ([0.106, 0.106, 0.2], [0.6, 0.0, 0.2]), (grown[1], post[1]))
+    labels = np.full((24, 24, 24), FREE, np.uint8)
+    labels[18:] = UNSEEN  # x beyond 0.7 m
+    t, begin = np.linspace(0, 1, 60)[:, None], arm.fk(arm.home)[:3, 3]
+    points = begin + t * ([0.6, 0.0, 0.285] - begin) + 0.1 * np.sin(np.pi * t) * [0, 0, 1]
+    weights = np.linalg.lstsq(SquaredExponential(10, 30.0)(t[:, 0]), points, rcond=None)[0]
+    into = Skill(TrajectoryDistribution(SquaredExponential(10, 30.0), weights, 1e-6 * np.eye(30)), 3.0)
+    boxes = {"parcel": [{"name": "parcel", "lower": [0.52, -0.08, 0.21], "upper": [0.68, 0.08, 0.33]}], "nothing": []}
+    plans = {}
+    for name, touch in boxes.items():
+        found = reconstructed(folder, Space(np.array([-0.2, -0.6, -0.2]), 0.05, labels), points, on_the_arm(arm, arm.home), touch=touch, work=tmp_path / "cut")
+        with World.from_spec(found, textured=False) as known:
+            plans[name] = plan(into, arm, known.obstacles, samples=3, orientation="down")
+    assert not plans["nothing"].feasible and "piece001" in plans["nothing"].sentence
+    assert plans["parcel"].feasible
+    truth = [{"name": name, "shape": "box", "size": size, "position": at} for name, (size, at) in {"table": table, "parcel": parcel, "post": post}.items()]
+    with World.from_spec({"name": "truth", "objects": truth, "touch": ["parcel"]}, textured=False) as world:
+        model = CollisionModel(arm, world)
+        done = perform(plans["parcel"], arm, world, fps=0)
+    assert done.touched == () and done.success
+    near, _ = model.measure(plans["parcel"].joints)
+    assert near[:, WORLD].min() < 0.0 and model.nearest(plans["parcel"].joints[-1])[1][1] == "parcel"

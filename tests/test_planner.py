@@ -62,6 +62,21 @@ def free():
     client.disconnect()
 
 
+def test_an_end_a_little_out_of_reach_gives_way_as_far_as_strokes_leave_it_open(arm, free, tmp_path):
+    """The Panda reaches 0.947 m straight ahead at this height."""
+    open_end, known_end = (skill_to(arm, [0.98, 0.0, 0.4], spread=spread) for spread in (0.02, 0.001))
+    end = open_end.starting_at(arm.fk(arm.home)[:3, 3])[0].distribution.mean_at([1.0])[0]
+    assert end[0] > 0.955
+    found = plan(open_end, arm, free, samples=2)
+    assert found.feasible and 0.01 < np.linalg.norm(found.tip[-1] - end) < 0.03
+    assert "before the taught end, which is out of reach" in found.sentence
+    found.save(tmp_path / "plan.npz")
+    assert Plan.load(tmp_path / "plan.npz").sentence == found.sentence
+    assert plan(skill_to(arm, [0.9, 0.0, 0.4]), arm, free, samples=2).ends == ""
+    for refused in (plan(known_end, arm, free, samples=2), plan(open_end, arm, free, samples=2, moved=0.0)):
+        assert not refused.feasible and "no posture of the arm reaches the end" in refused.sentence and not refused.ends
+
+
 def test_a_motion_that_takes_many_times_what_was_drawn_is_told_so(arm, free, tmp_path):
     quick, usual = (plan(skill_to(arm, [0.5, 0.3, 0.5], duration=seconds), arm, free, samples=1) for seconds in (0.06, 4.0))
     assert quick.feasible and "times the 0.1 s that were drawn" in quick.sentence and not usual.slow

@@ -1,6 +1,6 @@
 """Inverse kinematics beside its peers in one table: PyBullet's own with restarts, pink, and ours.
 
-    python tests/benchmarks/ik.py                      # Panda and Z1, 1,000 poses each; pink needs: pip install pin-pink
+    python tests/benchmarks/ik.py                      # Panda and Z1, 1,000 poses each; pink needs: pip install pin-pink daqp
     python tests/benchmarks/ik.py --poses 100 --arms z1
 
 Poses are those of random postures inside the limits; solved: within 1 mm and 0.01 rad, and inside the limits. Peers begin
@@ -12,6 +12,7 @@ paths of 200 waypoints that are known to exist (smooth random postures' own), by
 
 import argparse
 import time
+from importlib.util import find_spec
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -23,6 +24,7 @@ from robot.inverse import choose
 from robot.kinematics import POSE, POSITION
 
 POSITION_MM, ROTATION = 1.0, 0.01
+SOLVER = "daqp"  # of pink's quadratic programs
 
 
 class Bullet:
@@ -79,8 +81,7 @@ class Pink:
                 if np.linalg.norm(error[:3]) < 5e-4 and np.linalg.norm(error[3:]) < 5e-3:
                     break
                 try:
-                    velocity = self.pink.solve_ik(configuration, [task], 1.0, solver="daqp" if "daqp" in SOLVERS else SOLVERS[0], damping=1e-9,
-                                                  )
+                    velocity = self.pink.solve_ik(configuration, [task], 1.0, solver=SOLVER, damping=1e-9)
                 except Exception:  # whatever its solver raises counts as not solved
                     break
                 configuration.integrate_inplace(velocity, 1.0)
@@ -100,12 +101,10 @@ class Ours:
             return None
 
 
-try:
-    import qpsolvers
-
-    SOLVERS = qpsolvers.available_solvers
-except ImportError:
-    SOLVERS = []
+def lacks() -> str:
+    """Which of what pink is run with is not there, empty where all is."""
+    modules = {"pinocchio": "pin", "pink": "pin-pink", "qpsolvers": "pin-pink", SOLVER: SOLVER}
+    return " ".join(dict.fromkeys(package for module, package in modules.items() if find_spec(module) is None))
 
 
 def solved(arm, q, pose) -> bool:
@@ -218,11 +217,13 @@ def main() -> None:
     arms = [Arm.load(name) for name in options.arms]
     print("| arm | | solved | median ms | 95 % ms | worst ms |\n|---|---|---|---|---|---|")
     for arm in arms:
-        peers = [("ours", Ours(arm)), ("PyBullet, 5 restarts", Bullet(arm, 5)), ("PyBullet, 20 restarts", Bullet(arm, 20))]
-        if SOLVERS:
-            peers.insert(1, ("pink, 5 restarts", Pink(arm, 5)))
-        reachable(arm, options.poses, peers[:1])
-        reachable(arm, options.peer_poses or options.poses, peers[1:])
+        reachable(arm, options.poses, [("ours", Ours(arm))])
+        missing = lacks()
+        if missing:
+            print(f"| {arm.name} | pink, 5 restarts | left out: pip install {missing} | | | |", flush=True)
+        peers = [] if missing else [("pink, 5 restarts", Pink(arm, 5))]
+        peers += [(f"PyBullet, {restarts} restarts", Bullet(arm, restarts)) for restarts in (5, 20)]
+        reachable(arm, options.peer_poses or options.poses, peers)
     print("\n| arm | unreachable: refused | with a reason | median ms | worst ms |\n|---|---|---|---|---|")
     for arm in arms:
         unreachable(arm, 200)
