@@ -35,54 +35,6 @@ DISTORTION = ("k1", "k2", "k3", "k4", "p1", "p2")
 FEWEST_PHOTOGRAPHS = 3
 
 
-def load_photographs(folder: str | Path, fewest: int = FEWEST_PHOTOGRAPHS) -> list[Path]:
-    """The pictures of a folder, sorted by name, each of them decoded once to its last byte.
-
-    fewest: how many there must be. Raises FileNotFoundError (no such folder, no pictures) or ValueError (too few, unreadable, truncated, two of one
-    name, different sizes after EXIF rotation).
-    """
-    folder = Path(folder)
-    if not folder.is_dir():
-        raise FileNotFoundError(f"no such folder of photographs: {folder}")
-    files = sorted(p for p in folder.iterdir() if p.is_file() and not p.name.startswith("."))
-    paths = [p for p in files if p.suffix.lower() in EXTENSIONS]
-    if not paths:
-        there = ", ".join(f"{n} {s or 'without extension'}" for s, n in Counter(p.suffix for p in files).items())
-        wanted = " ".join(EXTENSIONS)
-        raise FileNotFoundError(f"no pictures in {folder}: looked for {wanted}; there: {there or 'no files'}")
-    if len(paths) < fewest:
-        names = ", ".join(p.name for p in paths)
-        needed = f"a scene needs at least {fewest}" + ", better 30" * (fewest == FEWEST_PHOTOGRAPHS)
-        raise ValueError(f"only {len(paths)} pictures in {folder} ({names}); {needed}")
-    _refuse_equal_names(paths)
-    _refuse_different_sizes({p: _checked_size(p) for p in paths})
-    return paths
-
-
-def _refuse_equal_names(paths: Sequence[Path]):
-    stems = Counter(p.stem for p in paths)
-    twice = [p.name for p in paths if stems[p.stem] > 1]
-    if twice:
-        raise ValueError(f"pictures that differ in their extension only: {', '.join(twice[:6])}; keep one of each")
-
-
-def _checked_size(path: Path) -> tuple[int, int]:
-    """(width, height) [px] after EXIF rotation; decodes everything, as a truncated file shows only at its end."""
-    image = load_image(path)
-    return image.shape[1], image.shape[0]
-
-
-def _refuse_different_sizes(sizes: dict[Path, tuple[int, int]]):
-    counts = Counter(sizes.values()).most_common()
-    if len(counts) == 1:
-        return
-    groups = []
-    for size, count in counts:
-        names = [p.name for p in sizes if sizes[p] == size]
-        groups.append(f"{count} of {size[0]}x{size[1]} ({', '.join(names[:3])}{', ...' if count > 3 else ''})")
-    raise ValueError(f"pictures of different sizes: {'; '.join(groups)}; use one camera in one orientation")
-
-
 def load_image(path: str | Path) -> np.ndarray:
     """A picture (H, W, 3) uint8 RGB, turned upright as its EXIF says. ValueError when unreadable or truncated."""
     path = Path(path)

@@ -1,6 +1,6 @@
 """What a person gives as photographs: pictures, a video, or pictures whose cameras are known already.
 
-    photographs    a folder of pictures                                     -> COLMAP finds the cameras
+    photographs    a folder of pictures, or of one folder a camera          -> COLMAP finds the cameras (scene.album)
     video          .mp4, .mov, .avi, ...                                    -> sharp frames (scene.video), then COLMAP
     transforms     a transforms.json (nerfstudio, instant-ngp) or its folder  -> cameras as they are (scene.transforms)
     colmap         a folder with sparse/0 and images                        -> cameras as they are (scene.colmap.adopt)
@@ -9,6 +9,8 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+
+from scene.album import places
 
 VIDEOS = (".mp4", ".mov", ".avi", ".mkv", ".m4v", ".webm")
 TRANSFORMS = ("transforms.json", "transforms_train.json")
@@ -41,9 +43,14 @@ class Source:
 
             given = read(self.path)
             return [self.path, *given.files(), *([given.ply] if given.ply else [])]
-        beside = [folder.glob("*") for folder in (self.path / "masks", self.path.parent / "masks")]
-        parts = [self.path.glob("*"), self.images.rglob("*")] if self.kind == "colmap" else [self.path.glob("*"), *beside]
-        return sorted(path for part in parts for path in part if path.is_file())
+        if self.kind == "colmap":
+            parts = [self.path.glob("*"), self.images.rglob("*")]
+        else:
+            found = places(self.path)
+            top = found[0] if len(found) == 1 else self.path
+            beside = {folder / "masks" for folder in (top, top.parent)}
+            parts = [folder.glob("*") for folder in {self.path, *found, *beside}]
+        return sorted({path for part in parts for path in part if path.is_file()})
 
 
 def recognise(given: str | Path) -> Source:

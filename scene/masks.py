@@ -1,6 +1,7 @@
 """What of a photograph is not to be looked at: people, reflections, the robot itself.
 
-    masks/<name>.png        beside the photographs or in their folder, named like them: black is ignored, as in nerfstudio
+    masks/<name>.png        beside the photographs or in their folder, named like them (scene.album): black is ignored, as in
+                            nerfstudio
 
 Ignored pixels get no features in COLMAP and teach the field nothing. A photograph without a mask is used whole.
 """
@@ -8,24 +9,29 @@ Ignored pixels get no features in COLMAP and teach the field nothing. A photogra
 from collections.abc import Sequence
 from pathlib import Path
 
-from scene.dataset import EXTENSIONS, load_image, read_mask
+from scene.album import named as photographs_named
+from scene.album import pictures, root, subfolders
+from scene.dataset import load_image, read_mask
 
 FOLDER = "masks"
 
 
 def find(photographs: Sequence[Path]) -> dict[str, Path]:
-    """{photograph's name: file of its mask} for photographs of one folder; none where there is no folder of masks.
+    """{photograph's name: file of its mask} for photographs, see scene.album; none where there is no folder of masks.
 
     Raises ValueError for masks of no photograph, of another size than theirs, or that leave nothing.
     """
     if not photographs:
         return {}
-    places = photographs[0].parent / FOLDER, photographs[0].parent.parent / FOLDER
+    top = root(photographs)
+    places = top / FOLDER, top.parent / FOLDER
     folder = next((place for place in places if place.is_dir()), None)
     if folder is None:
         return {}
-    files = sorted(p for p in folder.iterdir() if p.suffix.lower() in EXTENSIONS and not p.name.startswith("."))
-    names = {p.stem: p for p in photographs}
+    files, names = pictures(folder), photographs_named(photographs)
+    deeper = [place for place in subfolders(folder) if place.name in {path.parent.name for path in photographs}]
+    if deeper:
+        raise ValueError(f"masks in a subfolder are not read: {deeper[0]}; name them {FOLDER}/{next(iter(names))}.png, ...")
     named = {_name(path, names): path for path in files}
     strangers = [path.name for name, path in named.items() if name not in names]
     if strangers:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from scene import colmap, dataset, masks
+from scene import album, colmap, dataset, masks
 from scene.camera import Camera, look_at
 from scene.colmap import mapping
 from scene.frame import apriltag, gravity
@@ -49,14 +49,14 @@ def rectangle(origin, right, down):
     return np.array([origin, origin + right, origin + right + down, origin + down])
 
 
-def world(tags=True):
-    faces = [(rectangle((-0.8, 0.8, 0), (1.6, 0, 0), (0, -1.6, 0)), texture(0, 1400, 1400))]
+def world(tags=True, seed=0):
+    faces = [(rectangle((-0.8, 0.8, 0), (1.6, 0, 0), (0, -1.6, 0)), texture(seed, 1400, 1400))]
     for i, (x, y, w, h) in enumerate([(-0.25, 0.1, 0.2, 0.25), (0.2, 0.15, 0.25, 0.15), (0.0, -0.25, 0.2, 0.1)]):
         a, b, c, d = (x - w / 2, y - w / 2), (x + w / 2, y - w / 2), (x + w / 2, y + w / 2), (x - w / 2, y + w / 2)
         for j, (p, q) in enumerate([(a, b), (b, c), (c, d), (d, a)]):
             right = (q[0] - p[0], q[1] - p[1], 0)
-            faces.append((rectangle((*p, h), right, (0, 0, -h)), texture(10 * i + j + 1)))
-        faces.append((rectangle((*d, h), (w, 0, 0), (0, -w, 0)), texture(10 * i + 9)))
+            faces.append((rectangle((*p, h), right, (0, 0, -h)), texture(seed + 10 * i + j + 1)))
+        faces.append((rectangle((*d, h), (w, 0, 0), (0, -w, 0)), texture(seed + 10 * i + 9)))
     layout = tag_layout()
     for number, pose in layout.base_from_tag.items() if tags else ():
         half = layout.size * 10 / 8 / 2
@@ -106,7 +106,7 @@ def photograph(folder, count=10, **keywords):
     faces = world(**keywords)
     for i, camera in enumerate(cameras(count)):
         dataset.save_image(folder / f"{i:02d} photo.png", render(faces, camera))
-    return dataset.load_photographs(folder)
+    return album.load_photographs(folder)
 
 
 @pytest.fixture(scope="module")
@@ -198,7 +198,7 @@ def test_a_bent_lens_is_straightened_and_large_pictures_are_scaled(tmp_path):
         sources = (straight * wide.K[0, 0] + wide.K[:2, 2] - 0.5).astype(np.float32)
         picture = cv2.remap(render(faces, wide), sources[..., 0], sources[..., 1], cv2.INTER_CUBIC)
         dataset.save_image(tmp_path / "photographs" / f"{i}.png", picture)
-    photographs = dataset.load_photographs(tmp_path / "photographs")
+    photographs = album.load_photographs(tmp_path / "photographs")
     model = colmap.reconstruct(photographs, tmp_path, max_size=320, progress=False)
     assert model.registered >= 7 and model.views()[0].image.shape == (240, 320, 3)
     assert all(view.image.min(axis=-1)[[0, -1]].any() for view in model.views())
@@ -211,12 +211,43 @@ def test_a_bent_lens_is_straightened_and_large_pictures_are_scaled(tmp_path):
         assert np.corrcoef(view.image[inner].ravel(), pinhole[inner].ravel())[0, 1] > 0.9
 
 
+def test_cameras_of_two_folders_one_of_them_turned_get_lenses_of_their_own(tmp_path):
+    faces, true = world(), {}
+    for i, camera in enumerate(cameras(12)):
+        folder, shape = [("tele", (320, 240, 55)), ("wide", (400, 300, 70)), ("wide", (300, 400, 55))][i % 3]
+        true[f"{folder}_{i:02d}"] = Camera.from_fov(camera.world_from_camera, *shape)
+        dataset.save_image(tmp_path / "photos" / folder / f"{i:02d}.png", render(faces, true[f"{folder}_{i:02d}"]))
+    model = colmap.reconstruct(album.load_photographs(tmp_path / "photos"), tmp_path, progress=False)
+    assert model.names == tuple(sorted(true)) and model.registered == 12
+    true = [true[name] for name in model.names]
+    similarity = umeyama(np.array([c.centre for c in model.cameras]), np.array([c.centre for c in true]))
+    mm, degrees = camera_errors(model, similarity, true)
+    assert np.median(mm) < 4 and np.median(degrees) < 0.3
+    for found, wanted, view in zip(model.cameras, true, model.views(), strict=True):
+        assert found.K[0, 0] == pytest.approx(wanted.K[0, 0], rel=0.02)
+        assert view.image.shape == (wanted.height, wanted.width, 3)
+    middle = {name: np.array([[c.width / 2, c.height / 2]]) for name, c in zip(model.names, model.cameras, strict=True)}
+    for name, pixel in colmap.straighten(model, middle).items():
+        np.testing.assert_allclose(pixel, middle[name], atol=1e-6)
+
+
 def test_pictures_that_do_not_overlap_are_refused_with_advice(tmp_path):
     for i in range(5):
         dataset.save_image(tmp_path / "photographs" / f"{i}.png", texture(100 + i, 160, 120))
     with pytest.raises(colmap.ReconstructionFailed, match=r"only 0 of 5 .*0 of 10 pairs.*overlap by 60-80 %"):
-        colmap.reconstruct(dataset.load_photographs(tmp_path / "photographs"), tmp_path, progress=False)
+        colmap.reconstruct(album.load_photographs(tmp_path / "photographs"), tmp_path, progress=False)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["photographs"]
+
+
+@pytest.mark.slow
+def test_of_two_scenes_in_one_folder_the_larger_is_kept_and_the_rest_named(tmp_path):
+    for name, seed, count in (("desk", 0, 10), ("floor", 500, 6)):
+        faces = world(tags=False, seed=seed)
+        for i, camera in enumerate(cameras(count)):
+            dataset.save_image(tmp_path / "photos" / f"{name}{i}.png", render(faces, camera))
+    model = colmap.reconstruct(album.load_photographs(tmp_path / "photos"), tmp_path, progress=False)
+    assert model.names == tuple(f"desk{i}" for i in range(10))
+    assert model.unregistered == tuple(f"floor{i}" for i in range(6))
 
 
 def test_groups_that_share_no_photograph_are_said():
@@ -236,7 +267,7 @@ def test_pictures_without_texture_are_refused(tmp_path):
     for i in range(3):
         dataset.save_image(tmp_path / "photographs" / f"{i}.png", np.full((120, 160, 3), 90 + i, np.uint8))
     with pytest.raises(colmap.ReconstructionFailed, match="only 0 of 3.*0 of 3 pairs.*0 features.*texture on or around"):
-        colmap.reconstruct(dataset.load_photographs(tmp_path / "photographs"), tmp_path, progress=False)
+        colmap.reconstruct(album.load_photographs(tmp_path / "photographs"), tmp_path, progress=False)
 
 
 def test_near_duplicates_are_refused_as_taken_from_one_place(tmp_path):
@@ -245,7 +276,7 @@ def test_near_duplicates_are_refused_as_taken_from_one_place(tmp_path):
         noisy = np.clip(picture + rng.normal(0, 1, picture.shape), 0, 255).astype(np.uint8)
         dataset.save_image(tmp_path / "photographs" / f"{i}.png", noisy)
     with pytest.raises(colmap.ReconstructionFailed, match="only 0 of 5.*10 of 10 pairs.*walk around the scene"):
-        colmap.reconstruct(dataset.load_photographs(tmp_path / "photographs"), tmp_path, progress=False)
+        colmap.reconstruct(album.load_photographs(tmp_path / "photographs"), tmp_path, progress=False)
 
 
 def test_photographs_are_never_written_over(tmp_path):
@@ -329,7 +360,7 @@ def test_at_least_fifteen_of_the_sixteen_banana_photographs_register(tmp_path):
         with Image.open(path) as image:
             half = image.resize((1504, 1000), Image.Resampling.LANCZOS)
             half.save(tmp_path / "photographs" / path.name, quality=95, exif=image.getexif())
-    model = colmap.reconstruct(dataset.load_photographs(tmp_path / "photographs"), tmp_path, progress=False)
+    model = colmap.reconstruct(album.load_photographs(tmp_path / "photographs"), tmp_path, progress=False)
     assert model.registered >= 15 and model.reprojection_px < 1
     assert model.views()[0].image.shape == (681, 1024, 3)
     level = gravity.align(model)

@@ -19,13 +19,6 @@ def picture(width=32, height=24, seed=0):
     return np.random.default_rng(seed).integers(0, 256, (height, width, 3), dtype=np.uint8)
 
 
-def photographs(folder, count=4, suffix=".png", size=(32, 24)):
-    folder.mkdir(exist_ok=True)
-    for i in range(count):
-        Image.fromarray(picture(*size, seed=i)).save(folder / f"p{i}{suffix}")
-    return folder
-
-
 def view(name="a", eye=(1.0, 2.0, 3.0), size=(32, 24), seed=0):
     return View(name, Camera.from_fov(look_at(eye, (0.1, 0.2, 0.0)), *size, 51.3), picture(*size, seed=seed))
 
@@ -37,70 +30,6 @@ def edited(folder, edit):
     edit(meta)
     (folder / "transforms.json").write_text(json.dumps(meta))
     return folder
-
-
-def test_photographs_are_sorted_and_other_files_left_alone(tmp_path):
-    photographs(tmp_path, suffix=".JPG")
-    (tmp_path / "notes.txt").write_text("x")
-    (tmp_path / "._p0.JPG").write_bytes(b"macOS")
-    assert [p.name for p in dataset.load_photographs(tmp_path)] == ["p0.JPG", "p1.JPG", "p2.JPG", "p3.JPG"]
-
-
-def test_a_folder_that_is_not_there_is_named(tmp_path):
-    with pytest.raises(FileNotFoundError, match="no such folder.*nowhere"):
-        dataset.load_photographs(tmp_path / "nowhere")
-
-
-def test_a_folder_without_pictures_says_what_is_there(tmp_path):
-    (tmp_path / "a.heic").write_bytes(b"x")
-    with pytest.raises(FileNotFoundError, match=r"no pictures.*\.jpg.*1 \.heic"):
-        dataset.load_photographs(tmp_path)
-
-
-def test_two_pictures_are_too_few(tmp_path):
-    with pytest.raises(ValueError, match="2 pictures.*at least 3"):
-        dataset.load_photographs(photographs(tmp_path, 2))
-
-
-@pytest.mark.parametrize("suffix", [".jpg", ".png", ".webp", ".bmp"])
-def test_a_truncated_picture_is_named(tmp_path, suffix):
-    photographs(tmp_path, 4, suffix, (200, 150))
-    broken = tmp_path / f"p2{suffix}"
-    content = broken.read_bytes()
-    broken.write_bytes(content[: len(content) * 2 // 3])
-    with pytest.raises(ValueError, match=f"truncated picture.*p2{suffix}"):
-        dataset.load_photographs(tmp_path)
-
-
-def test_a_picture_that_is_none_is_named(tmp_path):
-    photographs(tmp_path)
-    (tmp_path / "p9.jpg").write_bytes(b"")
-    with pytest.raises(ValueError, match="p9.jpg"):
-        dataset.load_photographs(tmp_path)
-
-
-def test_pictures_of_different_sizes_are_counted_and_named(tmp_path):
-    photographs(tmp_path)
-    Image.fromarray(picture(24, 32)).save(tmp_path / "portrait.png")
-    with pytest.raises(ValueError, match=r"4 of 32x24 .*1 of 24x32 \(portrait.png\)"):
-        dataset.load_photographs(tmp_path)
-
-
-def test_sizes_are_compared_after_exif_rotation(tmp_path):
-    photographs(tmp_path, suffix=".jpg")
-    exif = Image.Exif()
-    exif[0x0112] = 6
-    Image.fromarray(picture(24, 32)).save(tmp_path / "turned.jpg", exif=exif)
-    assert len(dataset.load_photographs(tmp_path)) == 5
-    assert dataset.load_image(tmp_path / "turned.jpg").shape == (24, 32, 3)
-    assert dataset.is_rotated(tmp_path / "turned.jpg") and not dataset.is_rotated(tmp_path / "p0.jpg")
-
-
-def test_two_pictures_of_one_name_are_refused(tmp_path):
-    photographs(tmp_path)
-    Image.fromarray(picture()).save(tmp_path / "p1.jpg")
-    with pytest.raises(ValueError, match="p1.jpg.*p1.png"):
-        dataset.load_photographs(tmp_path)
 
 
 def test_views_return_exactly_as_saved(tmp_path):

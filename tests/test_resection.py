@@ -151,3 +151,12 @@ def test_photographs_without_tags_are_refused(photographs, tmp_path):
     other = TagLayout(0.12, {17: np.eye(4)})
     with pytest.raises(ReconstructionFailed, match="0 of 2 photographs show a tag of the layout"):
         resect(sorted(folder.glob("*.png")), other, tmp_path)
+
+
+def test_photographs_of_two_cameras_are_refused(tmp_path):
+    files = [tmp_path / "a.png", tmp_path / "b.png"]
+    for file, shape in zip(files, ((24, 32, 3), (32, 24, 3)), strict=True):
+        save_image(file, np.zeros(shape, np.uint8))
+    with pytest.raises(ReconstructionFailed, match="one camera only; here are 2 cameras: 1 of 32x24, 1 of 24x32"):
+        resect(files, layout(), tmp_path / "work")
+    assert not (tmp_path / "work").exists()

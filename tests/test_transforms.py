@@ -141,6 +141,46 @@ def test_a_model_of_colmap_comes_out_as_it_went_in(tmp_path):
     assert before.model == after.model and np.array_equal(before.params, after.params)
 
 
+def given_by_colmap(folder, *lenses):
+    """A model of COLMAP whose pictures take turns to be of one lens or another."""
+    model = pycolmap.Reconstruction()
+    for number, (name, width, height, params) in enumerate(lenses, start=1):
+        model.add_camera_with_trivial_rig(pycolmap.Camera(camera_id=number, model=name, width=width, height=height, params=params))
+    for i, pose in enumerate(POSES):
+        number, name = 1 + i % len(lenses), f"lens{i % len(lenses)}/{i}.png"
+        size = lenses[number - 1][1:3]
+        dataset.save_image(folder / "images" / name, np.array(Image.fromarray(picture(i)).resize(size)))
+        seen = pycolmap.Rigid3d(np.linalg.inv(pose)[:3])
+        model.add_image_with_trivial_frame(pycolmap.Image(name=name, camera_id=number, image_id=i + 1), seen)
+    (folder / "sparse" / "0").mkdir(parents=True)
+    model.write(folder / "sparse" / "0")
+    return model
+
+
+def test_a_model_of_several_lenses_comes_out_as_it_went_in_and_straight_pictures_are_kept(tmp_path):
+    lenses = ("OPENCV_FISHEYE", 64, 48, [50, 51, 31, 25, 0.02, -0.01, 0.001, 0]), ("PINHOLE", 48, 64, [60, 61, 25, 31])
+    theirs = given_by_colmap(tmp_path, *lenses)
+    model = colmap.adopt(tmp_path / "sparse" / "0", tmp_path / "images", tmp_path / "work", progress=False)
+    assert model.names == ("lens0_0", "lens0_2", "lens1_1", "lens1_3")
+    ours = pycolmap.Reconstruction(model.sparse)
+    for number, (name, *_, params) in enumerate(lenses, start=1):
+        assert ours.cameras[number].model.name == name and ours.cameras[number].params.tolist() == params
+    for number, image in theirs.images.items():
+        assert np.array_equal(ours.images[number].cam_from_world().matrix(), image.cam_from_world().matrix())
+    assert model.cameras[2].K.tolist() == [[60, 0, 25], [0, 61, 31], [0, 0, 1]]
+    assert model.images[2].read_bytes() == (tmp_path / "images" / "lens1" / "1.png").read_bytes()
+    assert model.views()[0].image.shape == (48, 64, 3) and model.cameras[0].K[0, 0] != 50
+    dataset.save_views(tmp_path / "capture", model.views())
+    for given, again in zip(model.views(), dataset.load_views(tmp_path / "capture"), strict=True):
+        assert np.array_equal(given.camera.K, again.camera.K) and np.array_equal(given.image, again.image)
+
+
+def test_a_panorama_is_refused_as_no_pinhole(tmp_path):
+    given_by_colmap(tmp_path, ("EQUIRECTANGULAR", 64, 32, [64, 32]))
+    with pytest.raises(colmap.ReconstructionFailed, match="EQUIRECTANGULAR see all around"):
+        colmap.adopt(tmp_path / "sparse" / "0", tmp_path / "images", tmp_path / "work", progress=False)
+
+
 def turned(meta):
     meta["frames"][2]["transform_matrix"][0][0] = 3.0
 

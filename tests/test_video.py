@@ -5,7 +5,8 @@ import cv2
 import numpy as np
 import pytest
 
-from scene.dataset import load_image, load_photographs
+from scene.album import load_photographs
+from scene.dataset import load_image
 from scene.video import flow, pick, sharpness
 
 rng = np.random.default_rng(0)

@@ -21,12 +21,13 @@ from pathlib import Path
 import numpy as np
 from PIL import ExifTags, Image
 
+from scene import album
 from scene.colmap import worker
 from scene.dataset import FEWEST_PHOTOGRAPHS, is_rotated, load_image, read_mask, read_points, save_mask
 from scene.model import Model, ReconstructionFailed
 from scene.transforms import Posed
 
-LEAST_BYTES = {"cameras.bin": 48, "images.bin": 73, "points3D.bin": 51}
+LEAST_BYTES = {"cameras.bin": 40, "images.bin": 73, "points3D.bin": 51}
 """Of one record of COLMAP's binary files."""
 
 
@@ -46,9 +47,10 @@ def reconstruct(
     progress: bool = True,
     masks: Mapping[str, Path] | None = None,
 ) -> Model:
-    """Register photographs (as scene.dataset.load_photographs lists them) with each other; write ``work``, see above.
+    """Register photographs (as scene.album.load_photographs lists them) with each other; write ``work``, see above.
 
-    camera_model: COLMAP's name of the lens model. single_camera: all photographs were taken with one lens and zoom.
+    camera_model: COLMAP's name of the lens model. single_camera: photographs that scene.album.cameras takes for one camera's
+    were taken with one lens and zoom.
     features: at most so many in a photograph. feature_size: longest side [px] at which they are sought.
     max_size: longest side [px] of the undistorted pictures. exhaustive: up to so many photographs every pair is
     matched; of more, each with its neighbours by name and ``alike`` that look alike (scene.colmap.retrieval). threads: with 1
@@ -56,21 +58,22 @@ def reconstruct(
     Raises ReconstructionFailed when fewer than three or fewer than half of the photographs join.
     """
     photographs, work = [Path(p).absolute() for p in photographs], Path(work)
-    if len({p.stem for p in photographs}) < len(photographs):
-        raise ValueError("photographs must have different names")
+    named, root = album.named(photographs), album.root(photographs)
     if any(p.parent == (work / "images").absolute() for p in photographs):
         raise ValueError(f"the photographs lie in {work / 'images'}, where undistorted ones are written; move them")
     unfinished = work / ".colmap.part"
     shutil.rmtree(unfinished, ignore_errors=True)
     (unfinished / "photographs").mkdir(parents=True)
     try:
-        for path in photographs:
-            _lay_out(path, unfinished / "photographs" / path.name)
-            if path.stem in (masks or {}):  # COLMAP wants the whole name before the ending
-                save_mask(unfinished / "masks" / f"{path.name}.png", read_mask(masks[path.stem]))
+        for name, path in named.items():
+            inside = path.relative_to(root)
+            _lay_out(path, unfinished / "photographs" / inside)
+            if name in (masks or {}):  # COLMAP wants the whole name before the ending
+                save_mask(unfinished / "masks" / f"{inside}.png", read_mask(masks[name]))
+        groups = [sorted(_below(root, group)) for group in album.cameras(photographs)] if single_camera else None
         settings = {
-            "folder": str(unfinished.absolute()), "names": sorted(p.name for p in photographs), "seed": seed,
-            "camera_model": camera_model, "single_camera": single_camera, "features": features,
+            "folder": str(unfinished.absolute()), "names": sorted(_below(root, photographs)), "cameras": groups,
+            "seed": seed, "camera_model": camera_model, "features": features,
             "feature_size": feature_size, "max_size": max_size, "threads": threads,
             "alike": alike if len(photographs) > exhaustive else None,
         }  # fmt: skip
@@ -132,8 +135,14 @@ def _worked(task: str, settings: dict, work: Path, progress: bool) -> Model:
     return Model.load(work)
 
 
+def _below(root: Path, photographs: Sequence[Path]) -> list[str]:
+    """What COLMAP calls photographs."""
+    return [path.relative_to(root).as_posix() for path in photographs]
+
+
 def _lay_out(source: Path, target: Path):
     """Put a photograph where COLMAP looks; one that EXIF turns is written upright, with the rest of its EXIF."""
+    target.parent.mkdir(exist_ok=True, parents=True)
     if not is_rotated(source):
         target.symlink_to(source)
         return

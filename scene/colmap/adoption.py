@@ -5,11 +5,14 @@ from pathlib import Path
 
 import numpy as np
 
+from scene.album import flat
 from scene.camera import invert
 from scene.colmap.lens import STRAIGHT, bend
-from scene.colmap.undistortion import flat, write_results
+from scene.colmap.undistortion import write_results
 from scene.dataset import inside, is_rotated, load_image
 from scene.model import ReconstructionFailed
+
+PANORAMAS = ("EQUIRECTANGULAR",)
 
 
 def adopt(pycolmap, folder, names, images, max_size, fewest, say, sparse=None, masks=None, **given):
@@ -23,13 +26,14 @@ def adopt(pycolmap, folder, names, images, max_size, fewest, say, sparse=None, m
             model = pycolmap.Reconstruction(sparse)
         except (ValueError, RuntimeError, MemoryError, IndexError, KeyError) as error:
             raise ReconstructionFailed(f"{sparse} is not a readable COLMAP model: {error}") from error
+    _check_lenses(model)
     posed = [image for image in model.images.values() if image.has_pose]
     if len(posed) < fewest:
         raise ReconstructionFailed(f"only {len(posed)} pictures have cameras; a scene needs {fewest}, better 30")
     _check_pictures(images, [(image.name, model.cameras[image.camera_id]) for image in posed])
     (folder / "colmap" / "sparse" / "0").mkdir(parents=True)
     model.write(folder / "colmap" / "sparse" / "0")
-    straight = all(bend(camera, max_size) < STRAIGHT for camera in model.cameras.values())
+    straight = {n for n, camera in model.cameras.items() if bend(camera, max_size) < STRAIGHT}
     masks = {name: Path(path) for name, path in (masks or {}).items()}
     write_results(model, folder, [image.name for image in model.images.values()], max_size, straight, say, masks, images)
 
@@ -47,6 +51,15 @@ def _built(pycolmap, names, lenses, poses, points, colours):
     for point, colour in zip(points, colours, strict=True):
         model.add_point3D(np.array(point), pycolmap.Track(), np.array(colour, dtype=np.uint8))
     return model
+
+
+def _check_lenses(model):
+    """Every lens can become a pinhole: a panorama cannot, and COLMAP would crash over it."""
+    panoramas = sorted({camera.model.name for camera in model.cameras.values()} & set(PANORAMAS))
+    if panoramas:
+        raise ReconstructionFailed(
+            f"cameras of model {panoramas[0]} see all around, which no pinhole does: cut their pictures into flat ones"
+        )
 
 
 def _check_pictures(images: Path, cameras: list[tuple]):

@@ -28,12 +28,12 @@ FEATURELESS = 50
 """Photographs with fewer features show too little to be joined by."""
 
 
-def solve(pycolmap, folder, names, seed, threads, max_size, alike, say, **settings):
+def solve(pycolmap, folder, names, cameras, seed, threads, max_size, alike, say, **settings):
     """Reconstruct; what was left out is tried once more with relaxed thresholds before it is given up."""
     folder = Path(folder)
     pycolmap.logging.minloglevel = pycolmap.logging.WARNING.value
     pycolmap.set_random_seed(seed)
-    run = _Run(pycolmap, folder, names, seed, threads, say)
+    run = _Run(pycolmap, folder, names, cameras, seed, threads, say)
     run.extract(PEAK, **settings)
     found = run.match(names, USUAL["max_ratio"], alike)
     models = run.map(USUAL)
@@ -50,8 +50,9 @@ def solve(pycolmap, folder, names, seed, threads, max_size, alike, say, **settin
     straight = _adjust(pycolmap, best, max_size)
     (folder / "colmap" / "sparse" / "0").mkdir(parents=True)
     best.write(folder / "colmap" / "sparse" / "0")
-    masks = {path.stem: path for path in (folder / "masks").glob("*.png")}
-    write_results(best, folder, names, max_size, straight, say, masks)
+    given = folder / "masks"
+    masks = {path.relative_to(given).as_posix().removesuffix(".png"): path for path in given.rglob("*.png")}
+    write_results(best, folder, names, max_size, set(best.cameras) if straight else set(), say, masks)
 
 
 def _registered(model) -> int:
@@ -69,11 +70,12 @@ def _enough(model, names) -> bool:
 
 @dataclass(frozen=True)
 class _Run:
-    """COLMAP's three steps on one database."""
+    """COLMAP's three steps on one database. cameras: the names that each camera took, None if every photograph has its own."""
 
     pycolmap: ModuleType
     folder: Path
     names: list[str]
+    cameras: list[list[str]] | None
     seed: int
     threads: int
     say: Callable
@@ -82,7 +84,7 @@ class _Run:
     def database(self) -> Path:
         return self.folder / "database.db"
 
-    def extract(self, peak, camera_model, single_camera, features, feature_size):
+    def extract(self, peak, camera_model, features, feature_size):
         """Features of all photographs, in a new database."""
         self.database.unlink(missing_ok=True)
         options = self.pycolmap.FeatureExtractionOptions()
@@ -90,25 +92,34 @@ class _Run:
         options.max_image_size = feature_size
         options.sift.max_num_features = features
         options.sift.peak_threshold = peak
-        options.sift.first_octave = -1 if self._longest_side() < UPSAMPLED else 0
         reader = self.pycolmap.ImageReaderOptions()
         reader.camera_model = camera_model
         if (self.folder / "masks").is_dir():
             reader.mask_path = self.folder / "masks"
-        mode = self.pycolmap.CameraMode.SINGLE if single_camera else self.pycolmap.CameraMode.PER_IMAGE
         self.say(stage="features", count=0)
-        for start in range(0, len(self.names), 4):
-            self.pycolmap.extract_features(
-                self.database, self.folder / "photographs", image_names=self.names[start : start + 4], camera_mode=mode,
-                reader_options=reader, extraction_options=options, device=self.pycolmap.Device.cpu,
-            )  # fmt: skip
-            if single_camera and start == 0:
-                with self.pycolmap.Database.open(self.database) as content:
-                    reader.existing_camera_id = content.read_all_cameras()[0].camera_id
-            self.say(count=min(start + 4, len(self.names)))
+        done = 0
+        for names in self.cameras or [self.names]:
+            options.sift.first_octave = -1 if self._longest_side(names[0]) < UPSAMPLED else 0
+            reader.existing_camera_id = -1
+            for start in range(0, len(names), 4):
+                self._read(names[start : start + 4], reader, options)
+                self.say(count=done + min(start + 4, len(names)))
+            done += len(names)
 
-    def _longest_side(self) -> int:
-        with Image.open(self.folder / "photographs" / self.names[0]) as image:
+    def _read(self, names, reader, options):
+        """Features of photographs of one camera, which ``reader`` knows from the second time on."""
+        single = self.cameras is not None
+        self.pycolmap.extract_features(
+            self.database, self.folder / "photographs", image_names=names, reader_options=reader, extraction_options=options,
+            camera_mode=self.pycolmap.CameraMode.SINGLE if single else self.pycolmap.CameraMode.PER_IMAGE,
+            device=self.pycolmap.Device.cpu,
+        )  # fmt: skip
+        if single and reader.existing_camera_id < 0:
+            with self.pycolmap.Database.open(self.database) as content:
+                reader.existing_camera_id = max(camera.camera_id for camera in content.read_all_cameras())
+
+    def _longest_side(self, name) -> int:
+        with Image.open(self.folder / "photographs" / name) as image:
             return max(image.size)
 
     def match(self, names, max_ratio, alike=None) -> dict:

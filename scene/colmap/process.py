@@ -6,10 +6,10 @@ import os
 import signal
 import sys
 import threading
-from pathlib import Path
 
 import numpy as np
 
+from scene.album import flat
 from scene.colmap import adoption, mapping
 from scene.model import ReconstructionFailed
 
@@ -18,7 +18,7 @@ def answer_rays():
     """Read photographs' pixels, answer with x / z, y / z of the rays that the estimated lens sends through them."""
     settings = json.loads(sys.stdin.readline())
     model = load_pycolmap().Reconstruction(settings["sparse"])
-    lenses = {Path(image.name).stem: model.cameras[image.camera_id] for image in model.images.values()}
+    lenses = {flat(image.name): model.cameras[image.camera_id] for image in model.images.values()}
     rays, outside = {}, {}
     for name, pixels in settings["pixels"].items():
         pixels, size = np.array(pixels), (lenses[name].width, lenses[name].height)

@@ -1,11 +1,11 @@
 """A model's pictures as pinholes see them, and model.npz: what scene.colmap.Model loads. Runs in COLMAP's process."""
 
-import os
 import shutil
 from pathlib import Path
 
 import numpy as np
 
+from scene.album import flat
 from scene.camera import Camera, invert
 from scene.colmap.lens import pinhole, through_lens, widest_pinhole
 from scene.dataset import MASKS, load_image, read_mask, save_image, save_mask
@@ -13,24 +13,24 @@ from scene.files import replacing
 
 
 def write_results(model, folder, names, max_size, straight, say, masks, photographs=None):
-    """The undistorted pictures and masks ({picture's name: file}), and model.npz. photographs: where they lie, if not in
-    ``folder``."""
+    """The undistorted pictures and masks ({picture's name: file}), and model.npz. straight: numbers of the cameras that are
+    pinholes. photographs: where they lie, if not in ``folder``."""
     images = sorted((image for image in model.images.values() if image.has_pose), key=lambda image: image.name)
-    as_pinhole = pinhole if straight else widest_pinhole
-    lenses = {number: as_pinhole(camera) for number, camera in model.cameras.items()}
+    lenses = {n: pinhole(camera) if n in straight else widest_pinhole(camera) for n, camera in model.cameras.items()}
     cameras, files = [], []
     say(stage="pictures", count=0)
     for image in images:
         lens = model.cameras[image.camera_id]
+        bent = None if image.camera_id in straight else lens
         full = Camera(lenses[image.camera_id], _world_from_camera(image), lens.width, lens.height)
         scale = min(1, max_size / max(full.width, full.height))
         cameras.append(full.resized(round(full.width * scale), round(full.height * scale)))
         source = (photographs or folder / "photographs") / image.name
         target = folder / "images" / flat(image.name)
-        files.append(_undistort(source, target, None if straight else lens, full, cameras[-1]))
+        files.append(_undistort(source, target, bent, full, cameras[-1]))
         if image.name in masks:
             mask = np.uint8(255) * read_mask(masks[image.name])
-            seen = _resampled(mask, None if straight else lens, full, cameras[-1]) > 250  # what is partly ignored is ignored
+            seen = _resampled(mask, bent, full, cameras[-1]) > 250  # what is partly ignored is ignored
             save_mask(folder / MASKS / f"{flat(image.name)}.png", seen)
         say(count=len(files))
     points = [model.points3D[number] for number in sorted(model.points3D)]
@@ -81,8 +81,3 @@ def _resampled(picture, lens, full, camera) -> np.ndarray:
         seen = seen.reshape(camera.height, camera.width, 2).astype(np.float32)
         picture = cv2.remap(picture, seen[..., 0], seen[..., 1], cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
     return picture
-
-
-def flat(name: str) -> str:
-    """What a picture is called here: COLMAP's name, which may have folders, without its ending."""
-    return str(Path(name).with_suffix("")).replace(os.sep, "_")

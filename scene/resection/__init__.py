@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from PIL import ExifTags, Image
 
+from scene import album
 from scene.dataset import is_rotated, load_image, save_image, save_points
 from scene.files import parse_json
 from scene.frame.apriltag import TagLayout, detect
@@ -30,7 +31,10 @@ def resect(
     EXIF. Raises ReconstructionFailed where fewer than two photographs show tags, tags contradict each other, or a pose
     or the focal length stays open; ValueError for a broken camera file. """
     root = Path(work) / "upright"
-    files = {path.stem: _upright(path, root) for path in photographs}
+    if len({album.size(path) for path in photographs}) > 1:
+        cameras = album.described(album.cameras(photographs))
+        raise ReconstructionFailed(f"tags alone give the cameras of photographs of one camera only; here are {cameras}")
+    files = {name: _upright(name, path, root) for name, path in album.named(photographs).items()}
     pictures = {name: load_image(path) for name, path in files.items()}
     height, width = next(iter(pictures.values())).shape[:2]
     found = {name: _known(detect(image), layout) for name, image in pictures.items()}
@@ -60,14 +64,14 @@ def _known(tags, layout: TagLayout) -> dict[int, np.ndarray]:
     return {n: corners for n, corners in tags.items() if n in layout.base_from_tag}
 
 
-def _upright(path: Path, root: Path) -> Path:
+def _upright(name: str, path: Path, root: Path) -> Path:
     """The photograph in ``root``, turned as its EXIF says."""
     root.mkdir(parents=True, exist_ok=True)
     if is_rotated(path):
-        target = root / f"{path.stem}.png"
+        target = root / f"{name}.png"
         save_image(target, load_image(path))
     else:
-        target = root / path.name
+        target = root / f"{name}{path.suffix}"
         target.unlink(missing_ok=True)
         target.symlink_to(path.absolute())
     return target
