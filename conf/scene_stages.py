@@ -18,6 +18,10 @@ from scene.inputs import recognise
 
 log = logging.getLogger("scene2skill")
 
+POOR_DB = 17.0
+"""Held-out photographs that a field shows worse than this are said to be shown poorly: scenes of photographs that do not belong
+together came to 12 to 14 dB, sound ones to 24 after 20 s of training."""
+
 
 def capture(job: Job, out: Path) -> dict:
     """A simulated world is photographed, as a person with a camera would."""
@@ -75,10 +79,14 @@ def train(job: Job, out: Path) -> dict:
     """The field learns the scene from all photographs but every eighth, which measure it."""
     from conf.evaluation import field_errors
     from scene.dataset import load_points, load_views
+    from scene.photographs import spoilt
 
     views = load_views(job.capture)
     points, _ = load_points(job.capture)
-    training, held_out = split(views)
+    useless = spoilt(views)
+    training, held_out = (_telling(part, useless) for part in split(views))
+    if useless:
+        log.warning("  note: too dark or overexposed to learn from, left out: %s", ", ".join(useless))
     started = time.perf_counter()
     field = setting(job, "scene.fit")(
         training, points=points if len(points) else None, seed=job.cfg.scene.seed,
@@ -88,6 +96,9 @@ def train(job: Job, out: Path) -> dict:
     field.save(out / "field.pt")
     metrics |= field_errors(field, held_out, out / "held_out", job.settings("world") if _truth(job) else None)
     log.info("  held-out views: %(psnr).1f dB; a view renders in %(render_seconds).2f s", metrics)
+    if metrics["psnr"] < POOR_DB:
+        log.warning("  note: the field shows held-out photographs poorly; look at %s. Were things moved between the photographs, are "
+                    "they of several scenes, or exposed very differently?", out / "held_out")  # fmt: skip
     return metrics
 
 
@@ -95,6 +106,11 @@ def split(views) -> tuple[list, list]:
     """Training views and held-out views: every eighth by name (i % 8 == 4)."""
     by_name = sorted(views, key=lambda view: view.name)
     return [v for i, v in enumerate(by_name) if i % 8 != 4], [v for i, v in enumerate(by_name) if i % 8 == 4]
+
+
+def _telling(views, useless) -> list:
+    """``views`` without the useless ones, unless nothing else is left."""
+    return [view for view in views if view.name not in useless] or views
 
 
 def surface(job: Job, out: Path) -> dict:

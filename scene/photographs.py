@@ -59,6 +59,16 @@ class Photographs:
         return origins, directions, self.pixels[k][y, x].astype(np.float32) / 255
 
 
+def spoilt(views, more: float = 0.5) -> list[str]:
+    """Names of pictures so dark or so overexposed that they show little: the share of their pixels that are black or white
+    in every channel is larger by ``more`` than that of the median picture, so that a white scene spoils none."""
+    blank = []
+    for view in views:
+        image = view.image[::2, ::2]
+        blank.append(((image.min(-1) >= 250) | (image.max(-1) <= 16)).mean())
+    return [view.name for view, share in zip(views, blank, strict=True) if share > np.median(blank) + more]
+
+
 def ratios(view, pixels: np.ndarray, colour: np.ndarray, dark: float = 0.05) -> np.ndarray:
     """(2, 3) log of how much brighter the picture is at pixels (n, 2) than ``colour`` (n, 3) in [0, 1], by channel: the
     median in its left half and in its right half.

@@ -3,7 +3,7 @@
 import numpy as np
 
 from scene.camera import Camera, View, look_at
-from scene.photographs import Photographs, backdrop, gains, ratios
+from scene.photographs import Photographs, backdrop, gains, ratios, spoilt
 
 
 def view(image):
@@ -66,3 +66,13 @@ def test_gains_are_what_both_halves_of_the_pictures_say():
     assert np.abs(np.log(noisy) - true[:, 0]).mean() < 0.07
     assert np.abs(np.log(gains(rng.normal(0, 0.3, (40, 2, 3))))).mean() < 0.05  # no exposure, only what they show
     np.testing.assert_array_equal(gains(np.zeros((3, 2, 3))), 1)
+
+
+def test_pictures_much_darker_or_more_overexposed_than_the_others_are_spoilt():
+    plain = picture() // 2 + 60
+    plain[:20] = 255  # a white wall behind, which all of them show
+    shown = [plain, plain, plain, (plain * 0.05).astype(np.uint8), np.clip(plain * 5.0, 0, 255).astype(np.uint8)]
+    shown.append(np.clip(plain * 1.4, 0, 255).astype(np.uint8))
+    named = [View(str(i), view(image).camera, image) for i, image in enumerate(shown)]
+    assert spoilt(named) == ["3", "4"]
+    assert spoilt(named[:3]) == spoilt([named[4]] * 3) == []
