@@ -103,7 +103,7 @@ def test_voxels_of_another_kind_are_refused(field, tmp_path):
             Field.load(path)
     with open(path, "wb") as file:
         np.savez(file, **{**whole, "version": 2})
-    with pytest.raises(ValueError, match="no field of version 3; train it again"):
+    with pytest.raises(ValueError, match="no field of version 4; train it again"):
         Field.load(path)
 
 

@@ -10,6 +10,7 @@ from fields import random_field
 from scene.field import Field, kernels, volume
 from scene.field.descent import KernelDescent, Rates
 from scene.field.grid import BRICK, interpolate
+from scene.field.kernels import WEIGHT
 from scene.field.occupancy import Occupancy, cells, contract
 
 
@@ -44,10 +45,10 @@ class Twin:
         f = interpolate(self.values, table, roots, grid.sizes, grid.starts, volume.contract(o + t[:, None] * d))
         sigma = self.field.scale * torch.nn.functional.softplus(f[:, 0] + self.field.shift)
         weights, through = volume.composite(volume.opacity(sigma, torch.tensor(self.field.step))[None])
-        return (weights[0, :, None] * f[:, 1:]).sum(0), through[0]
+        return (weights[0, :, None] * f[:, 1:WEIGHT]).sum(0), through[0], (weights[0].detach() * f[:, WEIGHT]).sum()
 
     def colour(self, rays, marched, k, behind):
-        f, through = self.composite(rays, marched, k)
+        f, through, _ = self.composite(rays, marched, k)
         directions, behind = (torch.tensor(a, dtype=torch.float64)[None] for a in (rays.directions[k], behind))
         return volume.shade(f[None], through[None], directions, behind, self.inner, self.outer)[0]
 
@@ -56,8 +57,8 @@ def test_channels_and_transmittance_are_those_of_the_twin(field, rays):
     marched, twin = field.march(rays, keep=200), Twin(field)
     assert marched.samples[1].max() > 20
     for k in range(len(rays.near)):
-        f, through = twin.composite(rays, marched, k)
-        np.testing.assert_allclose(marched.channels[k, 1:], f.detach(), atol=2e-4)
+        f, through, _ = twin.composite(rays, marched, k)
+        np.testing.assert_allclose(marched.channels[k, 1:WEIGHT], f.detach(), atol=2e-4)
         np.testing.assert_allclose(marched.through[k], through.item(), atol=2e-5)
 
 
@@ -98,7 +99,8 @@ def test_gradients_of_voxels_and_network_are_those_of_the_twin(field, rays, monk
     descent.step(rays, target, behind, jitter, Rates(1, 1, 1, 1), *bits, 0.1)
     marched, twin = field.march(rays, keep=400), Twin(field)
     colours = torch.stack([twin.colour(rays, marched, k, behind[k]) for k in range(n)])
-    ((colours - torch.tensor(target, dtype=torch.float64)) ** 2).sum().backward()
+    weighed = sum(twin.composite(rays, marched, k)[2] for k in range(n))  # its gradient: by how much each voxel was seen
+    (((colours - torch.tensor(target, dtype=torch.float64)) ** 2).sum() + weighed).backward()
     expected = twin.values.grad.numpy()
     expected[: BRICK**3] = 0  # brick 0 is never trained
     np.testing.assert_allclose(found["voxels"][BRICK**3 :], expected[BRICK**3 :], atol=3e-4 * np.abs(expected).max())
@@ -108,8 +110,9 @@ def test_gradients_of_voxels_and_network_are_those_of_the_twin(field, rays, monk
     assert moved[(np.abs(expected).max(1) > 1e-6)].all()
 
 
-def test_samples_whose_gradients_are_small_move_nothing(field, rays, monkeypatch):
+def test_samples_that_are_hardly_seen_and_whose_gradients_are_small_move_nothing(field, rays, monkeypatch):
     monkeypatch.setattr("scene.field.descent.LEAST", np.inf)
+    monkeypatch.setattr("scene.field.descent.LIGHTEST", np.inf)
     before = field.grid.values.copy()
     n = len(rays.near)
     bits = [np.zeros_like(field.occupied.mask) for _ in range(2)]
@@ -140,13 +143,26 @@ def test_no_depth_lies_beyond_far(field, rays):
     assert hit.sum() > 5 and (distance[hit] <= far[hit]).all()
 
 
-def test_one_step_of_rmsprop_moves_touched_voxels_only():
-    values, gradient, square = (np.zeros((128, 8), np.float32) for _ in range(3))
-    gradient[70] = 0.5
-    gradient[71] = 0.5  # not marked
-    touched = np.array([0, 1 << 6], np.uint64)
-    rates = np.full(8, 0.1, np.float32)
-    kernels.rmsprop(0, 2, 0, values, gradient, square, touched, rates, np.float32(0.9), np.float32(1), np.float32(0))
-    np.testing.assert_allclose(values[70], -0.1 / np.sqrt(0.1), rtol=1e-5)
-    assert (values[:70] == 0).all() and (values[71:] == 0).all()
-    assert (gradient[70] == 0).all() and touched[1] == 0
+def moved(gradient, past, marked=70):
+    """One step of voxels (128, 8) that are 0, all rates 0.1, the voxel ``marked`` touched: their values."""
+    values, touched = np.zeros((128, 8), np.float32), np.array([0, 1 << marked - 64], np.uint64)
+    numbers = (np.float32(x) for x in (0.9, 1, 0, 0.5, 0.25))  # beta, unbiased, epsilon, kept, slight
+    kernels.move(0, 2, 0, values, gradient, past, touched, np.full(8, 0.1, np.float32), *numbers)
+    assert (gradient[marked] == 0).all() and touched[1] == 0
+    return values
+
+
+def test_a_step_moves_touched_voxels_only():
+    gradient, past = np.zeros((2, 128, 8), np.float32)
+    gradient[70:72] = 0.5  # 71 is not marked
+    values = moved(gradient, past)
+    np.testing.assert_allclose(values[70, [0, 4, 5, 6]], -0.1 / np.sqrt(0.1), rtol=1e-5)  # RMSProp
+    assert (values[:70] == 0).all() and (values[71:] == 0).all() and values[70, WEIGHT] == 0
+
+
+def test_a_colour_moves_by_the_mean_residual_of_all_that_saw_it():
+    gradient, past = np.zeros((2, 128, 8), np.float32)
+    gradient[70, 1:4], gradient[70, WEIGHT], past[70, WEIGHT] = [0.3, -0.6, 0], 0.75, 1.0
+    values = moved(gradient, past)
+    np.testing.assert_allclose(values[70, 1:4], -0.1 * np.float32([0.3, -0.6, 0]) / (0.5 * 1.0 + 0.75 + 0.25), rtol=1e-5)
+    assert past[70, WEIGHT] == np.float32(0.5 * 1.0 + 0.75)

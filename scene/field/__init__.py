@@ -21,7 +21,7 @@ from scene.field.rays import Marched, Rays
 from scene.field.twin import Twin
 from scene.files import replacing
 
-VERSION = 3
+VERSION = 4
 QUANTA = np.float32([1 / 16] + [1 / 128] * 3 + [1 / 256] * 4)  # to which a file rounds raw density, colour, features
 FAR = 1e4
 STOP = 1e-3
@@ -33,7 +33,7 @@ UNSEEN = (0.5, 0.5, 0.5)  # shown where a scene without a background has nothing
 class Shading:
     """The network: composited channels and direction of view -> colour, with what lies behind everything.
 
-    background (3,): the plain colour behind everything, (0,) if there is none; inner (16, H), outer (H, 3): weights, see
+    background (3,): the plain colour behind everything, (0,) if there is none; inner (15, H), outer (H, 3): weights, see
     `network.shade`.
     """
 
@@ -44,7 +44,7 @@ class Shading:
     @classmethod
     def initial(cls, rng: np.random.Generator, background: np.ndarray, hidden: int = 32) -> "Shading":
         """No dependence on the direction of view."""
-        inner = rng.normal(0, np.sqrt(2 / 16), (16, hidden)).astype(np.float32)
+        inner = rng.normal(0, np.sqrt(2 / 15), (15, hidden)).astype(np.float32)
         return cls(background, inner, np.zeros((hidden, 3), np.float32))
 
     @property
@@ -222,7 +222,7 @@ class Field:
         hidden = inner.shape[-1] if inner.ndim == 2 else -1
         shapes = {
             "centre": (centre, (3,)), "numbers": (numbers, (5,)), "background": (background, (3,) if background.size else (0,)),
-            "inner": (inner, (16, hidden)), "outer": (outer, (hidden, 3)),
+            "inner": (inner, (15, hidden)), "outer": (outer, (hidden, 3)),
         }  # fmt: skip
         for name, (array, shape) in shapes.items():
             if array.shape != shape or array.dtype.kind != "f" or not np.isfinite(array).all():

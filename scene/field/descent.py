@@ -11,12 +11,17 @@ from scene.field.grid import BRICK
 BETA1, BETA2 = 0.9, 0.99
 EPSILON = 1e-5
 LEAST = 1e-3
-"""Samples with smaller gradients (of a squared colour error) are left out: RMSProp would move their voxels as far as those of a surface."""
+"""Samples with smaller gradients (of a squared colour error) and less than LIGHTEST weight are left out: RMSProp would move their voxels as far as those of a surface."""
+LIGHTEST = 1e-2
+KEPT = 0.98
+"""Of what weighed on a voxel's colour before, this stays at each step that sees it: what the first rays say, of a shape still unknown, is forgotten."""
+SLIGHT = 0.05
+"""Weight of the colour that a voxel has before any ray sees it."""
 
 
 @dataclass(frozen=True)
 class Rates:
-    """Learning rates: of raw density, diffuse colour and features of a voxel, and of the network."""
+    """Learning rates: of raw density, diffuse colour (as a share of the residual, see `Descent`) and features of a voxel, and of the network."""
 
     density: float
     colour: float
@@ -25,18 +30,20 @@ class Rates:
 
     @property
     def voxel(self) -> np.ndarray:
-        return np.array([self.density] + [self.colour] * 3 + [self.feature] * 4, np.float32)
+        return np.array([self.density] + [self.colour / 2] * 3 + [self.feature] * 3 + [0.0], np.float32)
 
 
 class Descent:
-    """RMSProp on a field's voxels and Adam on its network, in place, where they lie; a subclass says how a step is made.
+    """A field's voxels and its network, moved in place, where they lie; a subclass says how a step is made.
 
-    A voxel is moved only when rays meet it, seldom and with long breaks: a mean of its past gradients would say little.
+    Given the density, pictures are linear in the diffuse colours, which take what reconstruction from projections takes: the mean
+    residual of the rays that saw a voxel (SART, Andersen & Kak 1984), of all so far, so that rays that disagree settle. Density and features
+    follow RMSProp: a voxel is met seldom and with long breaks, so that a mean of its past gradients would say little. The network follows Adam.
     """
 
     def __init__(self, field: Field):
         self.field, self.steps, self.keep = field, 0, 128
-        self.square = self._zeros()
+        self.past = self._zeros()
         self.gradient = self._zeros()
         self.network = [(0 * p, 0 * p) for p in field.shading.parameters]
 
@@ -45,7 +52,7 @@ class Descent:
 
     def grown(self) -> None:
         """The field's grid has got more voxels, behind the ones it had."""
-        self.square = lengthened(self.square, len(self.field.grid.values))
+        self.past = lengthened(self.past, len(self.field.grid.values))
         self.gradient = self._zeros()
 
     @property
@@ -64,12 +71,12 @@ class Descent:
     def state(self) -> dict:
         """Everything that `restore` needs beside the field, as arrays: a descent on another device may go on with it."""
         moments = {f"network{i}{k}": placed(m, None) for i, pair in enumerate(self.network) for k, m in enumerate(pair)}
-        return {"steps": self.steps, "keep": self.keep, "square": placed(self.square, None), **moments}
+        return {"steps": self.steps, "keep": self.keep, "past": placed(self.past, None), **moments}
 
     def restore(self, state: dict) -> None:
         where = self.field.twin.device if self.field.twin else None
         self.steps, self.keep = int(state["steps"]), int(state["keep"])
-        self.square = placed(state["square"], where)
+        self.past = placed(state["past"], where)
         self.gradient = self._zeros()
         self.network = [tuple(placed(state[f"network{i}{k}"], where) for k in range(2)) for i in range(len(self.network))]
 
@@ -104,19 +111,19 @@ class KernelDescent(Descent):
             network.shade_back, n, self.threads, marched.channels, marched.through, rays.directions,
             behind, *field.shading.parameters, grad_colour, grad_channels, grad_through, *grads,
         )  # fmt: skip
-        touched = np.zeros(len(self.square) // BRICK**3, np.uint64)
+        touched = np.zeros(len(self.past) // BRICK**3, np.uint64)
         first, count, t, alpha, feature = marched.samples
         kernels.in_parallel(
             kernels.march_back, n, self.threads, rays.origins, rays.directions, np.float32(field.step),
             np.float32(field.step * field.scale), field.grid.sizes, field.grid.roots, field.grid.starts,
             field.grid.table, np.float32(field.shift), first, count, t, alpha, feature, marched.channels, marched.through,
-            grad_channels, grad_through, np.float32(LEAST), self.gradient, touched,
+            grad_channels, grad_through, np.float32(LEAST), np.float32(LIGHTEST), self.gradient, touched,
         )  # fmt: skip
         self._move(touched, [g.sum(0) for g in grads], rates)
 
     def _move(self, touched: np.ndarray, network_gradient: list, rates: Rates) -> None:
         kernels.in_parallel(
-            kernels.rmsprop, len(touched), self.threads, self.field.grid.values, self.gradient, self.square,
-            touched, rates.voxel, np.float32(BETA2), np.float32(self.unbiased), np.float32(EPSILON),
+            kernels.move, len(touched), self.threads, self.field.grid.values, self.gradient, self.past, touched,
+            rates.voxel, np.float32(BETA2), np.float32(self.unbiased), np.float32(EPSILON), np.float32(KEPT), np.float32(SLIGHT),
         )  # fmt: skip
         self.adam(network_gradient, rates.network)

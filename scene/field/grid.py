@@ -6,7 +6,7 @@ Notation
     brick               4^3 neighbouring voxels, stored together: 64 rows of ``values``
     root                4^3 neighbouring bricks; ``roots`` holds, for each level and row-major, its place in ``table``
     table               64 rows for each kept root: the place of each of its bricks in ``values``
-    f(c) = sum_l trilinear(level l, c)      8 channels: raw density, 3 diffuse colour, 4 features
+    f(c) = sum_l trilinear(level l, c)      8 channels: raw density, 3 diffuse colour, 3 features, and 0
 
 Root 0 and brick 0 stand for what is not kept. Brick 0 is all zeros and is never trained: a level says nothing where
 it keeps no brick. Two steps to a voxel keep what is read for a surface small enough for a processor's cache. The levels add

@@ -22,6 +22,7 @@ from numba.core import cgutils, types
 from numba.extending import intrinsic
 
 CHANNELS = 8
+WEIGHT = 7  # in a voxel's gradient, the place of the weight it had; the voxel itself has 0 there
 THREADS = min(2, os.cpu_count() or 1)
 _POOL = ThreadPoolExecutor(THREADS)
 FAST = {"nogil": True, "cache": True, "fastmath": {"nsz", "arcp", "contract", "afn", "reassoc"}, "error_model": "numpy"}
@@ -213,10 +214,10 @@ def march(
     sizes, roots, starts, table, values, shift, stop, keep, capacity, sample_first, sample_count,
     sample_cell, sample_t, sample_alpha, sample_feature, out, out_through, out_depth,
 ):  # fmt: skip
-    """Forward: composite the grid's channels 1..7 along each ray, and keep the samples for `march_back`.
+    """Forward: composite the grid's channels 1..6 along each ray, and keep the samples for `march_back`.
 
     origins, directions (n, 3); near, far, jitter (n,), jitter in [0, 1) of a step. The samples of a ray lie at
-    sample_first[ray] + [0, sample_count[ray]). out (n, 8): 0, and in 1..7 the
+    sample_first[ray] + [0, sample_count[ray]). out (n, 8): 0, in 1..6 the
     composited features; out_through (n,): transmittance left; out_depth (n,): distance where it crosses 1/2, or nan
     (a sample stands for half a step on either side, of which what lies before near or beyond far is not seen).
     If samples are kept, ``surface`` gets a bit for each cell where that is, and ``seen`` for each with a sample
@@ -266,7 +267,7 @@ def march(
                 depth = min(max(t + (crossing - np.float32(0.5)) * length, near[ray]), far[ray])
             largest = max(largest, weight)
             sample_cell[cursor] = cell
-            for c in range(1, CHANNELS):
+            for c in range(1, WEIGHT):
                 out[ray, c] += weight * sample_feature[cursor, c]
             sample_t[cursor] = t
             sample_alpha[cursor] = np.float32(1.0) - kept
@@ -296,19 +297,20 @@ def _mark(touched, rows):
 @njit(**FAST)
 def march_back(
     first, last, piece, origins, directions, step, thickness, sizes, roots, starts, table, shift,
-    sample_first, sample_count, sample_t, sample_alpha, sample_feature, out, out_through, grad_out, grad_through, least, gradient, touched,
+    sample_first, sample_count, sample_t, sample_alpha, sample_feature, out, out_through, grad_out, grad_through, least, lightest, gradient, touched,
 ):  # fmt: skip
     """Backward of `march`: adds dL/d(values) to ``gradient`` and marks the voxels it wrote to in ``touched``.
 
-    grad_out (n, 8), grad_through (n,): dL/d(out), dL/d(out_through). least: samples with no larger gradient in any
-    channel teach nothing. With dL/dw_i = g . f_i,
+    grad_out (n, 8), grad_through (n,): dL/d(out), dL/d(out_through). With dL/dw_i = g . f_i,
         dL/dsigma_i = step (T_{i+1} dL/dw_i - sum_{j>i} w_j dL/dw_j - T_end dL/dT_end)
+    In the channel WEIGHT the gradient is the sum of the weights w_i by which samples were seen. Samples with no gradient above
+    ``least`` in any channel and a weight below ``lightest`` teach nothing.
     """
     for ray in range(first, last):
         ox, oy, oz = origins[ray, 0], origins[ray, 1], origins[ray, 2]
         dx, dy, dz = directions[ray, 0], directions[ray, 1], directions[ray, 2]
         behind = out_through[ray] * grad_through[ray]
-        for c in range(1, CHANNELS):
+        for c in range(1, WEIGHT):
             behind += grad_out[ray, c] * out[ray, c]
         begin = sample_first[ray]
         through = np.float32(1.0)
@@ -318,18 +320,19 @@ def march_back(
             weight = through * alpha
             through *= np.float32(1.0) - alpha
             slope = np.float32(0.0)
-            for c in range(1, CHANNELS):
+            for c in range(1, WEIGHT):
                 slope += grad_out[ray, c] * sample_feature[i, c]
             behind -= weight * slope
             grad_density = thickness * (through * slope - behind)
             raw = sample_feature[i, 0] + shift
             sample_feature[i, 0] = grad_density / (np.float32(1.0) + np.exp(-raw))
             largest = abs(sample_feature[i, 0])
-            for c in range(1, CHANNELS):
+            for c in range(1, WEIGHT):
                 sample_feature[i, c] = weight * grad_out[ray, c]
                 largest = max(largest, abs(sample_feature[i, c]))
-            if largest < least:
+            if largest < least and weight < lightest:
                 continue
+            sample_feature[i, WEIGHT] = weight
             cx, cy, cz, speed, r = _place(ox, oy, oz, dx, dy, dz, sample_t[i])
             for level in range(sizes.shape[0]):
                 rows, weights = _corners(cx, cy, cz, sizes[level], roots, starts[level], table)
@@ -373,11 +376,13 @@ def look_up(first, last, piece, places, sizes, roots, starts, table, values, out
 
 
 @njit(**FAST)
-def rmsprop(first, last, piece, values, gradient, square, touched, rates, beta, unbiased, epsilon):
-    """One RMSProp step on the touched voxels (a bit for each of a brick's 64); clears gradient and marks.
+def move(first, last, piece, values, gradient, past, touched, rates, beta, unbiased, epsilon, kept, slight):
+    """One step on the touched voxels (a bit for each of a brick's 64); clears gradient and marks.
 
-    rates (8,): learning rate of each channel; square: mean of squared gradients, 1 - beta the weight of the
-    newest one; unbiased: sqrt(1 - beta^k) at step k.
+    Diffuse colours (1..3) go by the mean residual of the rays that saw the voxel, each weighted by how much: past[:, WEIGHT] is
+    the sum of the weights so far, of which ``kept`` stays at each step, and ``slight`` is added to it. The others follow
+    RMSProp: past is the mean of their squared gradients, 1 - beta the weight of the newest one; unbiased: sqrt(1 - beta^k) at step k.
+    rates (8,): of each channel.
     """
     for brick in range(max(first, 1), last):
         marks = touched[brick]
@@ -385,11 +390,17 @@ def rmsprop(first, last, piece, values, gradient, square, touched, rates, beta, 
         v = brick * 64
         while marks != 0:
             if marks & np.uint64(1):
-                for c in range(CHANNELS):
+                seen = kept * past[v, WEIGHT] + gradient[v, WEIGHT]
+                past[v, WEIGHT] = seen
+                for c in range(WEIGHT):
                     g = gradient[v, c]
+                    if 1 <= c <= 3:
+                        values[v, c] -= rates[c] * g / (seen + slight)
+                    else:
+                        s = beta * past[v, c] + (np.float32(1.0) - beta) * g * g
+                        past[v, c] = s
+                        values[v, c] -= rates[c] * unbiased * g / (np.sqrt(s) + epsilon)
+                for c in range(CHANNELS):
                     gradient[v, c] = 0.0
-                    s = beta * square[v, c] + (np.float32(1.0) - beta) * g * g
-                    square[v, c] = s
-                    values[v, c] -= rates[c] * unbiased * g / (np.sqrt(s) + epsilon)
             marks >>= np.uint64(1)
             v += 1

@@ -6,6 +6,7 @@ import torch
 from scene.field import FAR, STOP_TRAINING, Field, Rays, descent, twin, volume
 from scene.field.descent import Descent, Rates
 from scene.field.grid import BRICK, corners
+from scene.field.kernels import WEIGHT
 
 
 class TorchDescent(Descent):
@@ -19,7 +20,7 @@ class TorchDescent(Descent):
         self.touched = self._none_touched()
 
     def _none_touched(self) -> torch.Tensor:
-        return torch.zeros(len(self.square), dtype=torch.bool, device=self.square.device)
+        return torch.zeros(len(self.past), dtype=torch.bool, device=self.past.device)
 
     def grown(self) -> None:
         super().grown()
@@ -41,16 +42,17 @@ class TorchDescent(Descent):
         error = volume.shade(composed.channels, composed.through, directions, behind, *network) - target
         (error**2).sum().backward()
         marcher.note(field, samples, composed, seen, surface, visible)
-        self._scatter(samples)
+        self._scatter(samples, composed.weights.detach()[samples.ray, samples.slot])
         self.steps += 1
         self._move([p.grad for p in network], rates)
         return float((error.detach() ** 2).mean())
 
-    def _scatter(self, samples: twin.Samples) -> None:
-        """Add the samples' gradients to those of their voxels, and note which voxels they touch."""
+    def _scatter(self, samples: twin.Samples, weights: torch.Tensor) -> None:
+        """Add the samples' gradients, and by which weights (m,) they were seen, to those of their voxels; note which voxels they touch."""
         grid, (table, roots) = self.field.grid, self.field.twin.index(self.field)
-        teaches = samples.feature.grad.abs().amax(1) >= descent.LEAST
-        pieces = zip(samples.place[teaches].split(twin.GATHER), samples.feature.grad[teaches].split(twin.GATHER))
+        teaches = (samples.feature.grad.abs().amax(1) >= descent.LEAST) | (weights >= descent.LIGHTEST)
+        gradient = torch.cat([samples.feature.grad[:, :WEIGHT], weights[:, None]], 1)[teaches]
+        pieces = zip(samples.place[teaches].split(twin.GATHER), gradient.split(twin.GATHER))
         for place, grad in pieces:
             for size, start in zip(map(int, grid.sizes), map(int, grid.starts)):
                 rows, weights = corners(table, roots, size, start, place)
@@ -59,13 +61,16 @@ class TorchDescent(Descent):
                 self.touched[rows] = True
 
     def _move(self, network_gradient: list, rates: Rates) -> None:
-        """RMSProp on the touched voxels, see `kernels.rmsprop`; brick 0 stands for all that is not kept and is not moved."""
+        """A step of the touched voxels, see `kernels.move`; brick 0 stands for all that is not kept and is not moved."""
         self.touched[: BRICK**3] = False
         rows = self.touched.nonzero()[:, 0]
         g, rate = self.gradient[rows], self.field.twin.tensor(rates.voxel)
-        square = descent.BETA2 * self.square[rows] + (1 - descent.BETA2) * g**2
-        self.square[rows] = square
-        self.field.grid.values[rows] -= rate * self.unbiased * g / (square.sqrt() + descent.EPSILON)
+        past = descent.BETA2 * self.past[rows] + (1 - descent.BETA2) * g**2
+        past[:, WEIGHT] = descent.KEPT * self.past[rows, WEIGHT] + g[:, WEIGHT]
+        self.past[rows] = past
+        step = self.unbiased * g / (past.sqrt() + descent.EPSILON)
+        step[:, 1:4] = g[:, 1:4] / (past[:, WEIGHT, None] + descent.SLIGHT)
+        self.field.grid.values[rows] -= rate * step
         self.gradient[rows] = 0
         self.gradient[: BRICK**3] = 0
         self.touched[rows] = False

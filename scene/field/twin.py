@@ -12,6 +12,7 @@ import torch
 
 from scene.field import volume, walk
 from scene.field.grid import CHANNELS, interpolate
+from scene.field.kernels import WEIGHT
 from scene.field.rays import Marched, Rays
 
 CHUNK = 2**16
@@ -53,7 +54,7 @@ class Samples:
 
 @dataclass(eq=False)
 class Composed:
-    """channels (n, 7): composited colour and features; through (n,): transmittance left; alpha, weights (n, most)."""
+    """channels (n, 6): composited colour and features; through (n,): transmittance left; alpha, weights (n, most)."""
 
     channels: torch.Tensor
     through: torch.Tensor
@@ -126,8 +127,8 @@ class Twin:
         """What the samples give along each ray, differentiable in their channels."""
         alpha = samples.padded(_alpha(field, samples.feature))
         weights, through = volume.composite(alpha)
-        weighted = weights[samples.ray, samples.slot, None] * samples.feature[:, 1:]
-        channels = weighted.new_zeros(len(through), CHANNELS - 1).index_add(0, samples.ray, weighted)
+        weighted = weights[samples.ray, samples.slot, None] * samples.feature[:, 1:WEIGHT]
+        channels = weighted.new_zeros(len(through), WEIGHT - 1).index_add(0, samples.ray, weighted)
         return Composed(channels, through, alpha, weights)
 
     def note(self, field, samples: Samples, composed: Composed, seen, surface, visible: float) -> None:
@@ -159,7 +160,7 @@ class Twin:
         t, half = samples.padded(samples.t), samples.padded(samples.length / 2)
         distance = volume.median_depth(composed.alpha, t - half, t + half)
         distance = torch.clamp(distance, self.tensor(rays.near), self.tensor(far))
-        return torch.nn.functional.pad(composed.channels, (1, 0)), composed.through, distance
+        return torch.nn.functional.pad(composed.channels, (1, CHANNELS - WEIGHT)), composed.through, distance
 
     def _kept(self, samples: Samples, composed: Composed) -> tuple[torch.Tensor, ...]:
         return samples.count, samples.t, composed.alpha[samples.ray, samples.slot], samples.feature
@@ -167,7 +168,7 @@ class Twin:
     @torch.no_grad()
     def shade(self, field, marched: Marched, rays: Rays, behind) -> np.ndarray:
         """`Field.shade`."""
-        channels, through, directions, behind = map(self.tensor, (marched.channels[:, 1:], marched.through, rays.directions, behind))
+        channels, through, directions, behind = map(self.tensor, (marched.channels[:, 1:WEIGHT], marched.through, rays.directions, behind))
         return volume.shade(channels, through, directions, behind, *field.shading.parameters).cpu().numpy()
 
 

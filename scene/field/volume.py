@@ -66,15 +66,19 @@ def median_depth(alpha: torch.Tensor, near: torch.Tensor, far: torch.Tensor) -> 
     return torch.where(crossed.any(-1, keepdim=True), start + s * (end - start), torch.nan).squeeze(-1)
 
 
-def shade(channels, through, directions, behind, inner, outer) -> torch.Tensor:
-    """Composited colour and features (n, 7) -> colour (n, 3) = diffuse + T behind + outer^T relu(inner^T x).
+def harmonics(directions: torch.Tensor) -> torch.Tensor:
+    """Real spherical harmonics (n, 9) of unit directions (n, 3) to the second degree, but for their factors."""
+    x, y, z = directions.unbind(-1)
+    return torch.stack([torch.ones_like(x), x, y, z, x * y, y * z, x * z, x * x - y * y, 3 * z * z - 1], -1)
 
-    through (n,): T; directions (n, 3); behind (n, 3): what the rays meet behind everything. x (n, 16): the channels, and harmonics of
+
+def shade(channels, through, directions, behind, inner, outer) -> torch.Tensor:
+    """Composited colour and features (n, 6) -> colour (n, 3) = diffuse + T behind + outer^T relu(inner^T x).
+
+    through (n,): T; directions (n, 3); behind (n, 3): what the rays meet behind everything. x (n, 15): the channels, and harmonics of
     the direction as far as the ray is opaque. There is no bias: where a ray hits nothing, x = 0 and one sees what is behind.
     """
-    x, y, z = directions.unbind(-1)
-    harmonics = torch.stack([torch.ones_like(x), x, y, z, x * y, y * z, x * z, x * x - y * y, 3 * z * z - 1], -1)
-    hidden = torch.relu(torch.cat([channels, harmonics * (1 - through)[:, None]], -1) @ inner)
+    hidden = torch.relu(torch.cat([channels, harmonics(directions) * (1 - through)[:, None]], -1) @ inner)
     return channels[:, :3] + through[:, None] * behind + hidden @ outer
 
 
