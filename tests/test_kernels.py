@@ -143,10 +143,10 @@ def test_no_depth_lies_beyond_far(field, rays):
     assert hit.sum() > 5 and (distance[hit] <= far[hit]).all()
 
 
-def moved(gradient, past, marked=70):
+def moved(gradient, past, marked=70, most=9):
     """One step of voxels (128, 8) that are 0, all rates 0.1, the voxel ``marked`` touched: their values."""
     values, touched = np.zeros((128, 8), np.float32), np.array([0, 1 << marked - 64], np.uint64)
-    numbers = (np.float32(x) for x in (0.9, 1, 0, 0.5, 0.25))  # beta, unbiased, epsilon, kept, slight
+    numbers = (np.float32(x) for x in (0.9, 1, 0, 0.5, 0.25, most))  # beta, unbiased, epsilon, kept, slight
     kernels.move(0, 2, 0, values, gradient, past, touched, np.full(8, 0.1, np.float32), *numbers)
     assert (gradient[marked] == 0).all() and touched[1] == 0
     return values
@@ -166,3 +166,19 @@ def test_a_colour_moves_by_the_mean_residual_of_all_that_saw_it():
     values = moved(gradient, past)
     np.testing.assert_allclose(values[70, 1:4], -0.1 * np.float32([0.3, -0.6, 0]) / (0.5 * 1.0 + 0.75 + 0.25), rtol=1e-5)
     assert past[70, WEIGHT] == np.float32(0.5 * 1.0 + 0.75)
+
+
+def test_a_colour_moves_by_most_at_most():
+    gradient, past = np.zeros((2, 128, 8), np.float32)
+    gradient[70, :4], gradient[70, WEIGHT] = [0.3, 0.3, -0.6, 0.01], 0.75
+    values = moved(gradient, past, most=0.02)
+    np.testing.assert_allclose(values[70, :4], [-0.1 / np.sqrt(0.1), -0.02, 0.02, -0.1 * 0.01], rtol=1e-5)
+
+
+def test_colours_move_little_at_first_and_more_with_every_step(field, rays, monkeypatch):
+    monkeypatch.setattr("scene.field.descent.MOST", 1e-3)
+    descent, dark, jitter = KernelDescent(field, threads=1), np.zeros((len(rays.near), 3), np.float32), np.zeros(len(rays.near), np.float32)
+    for step in (1, 2, 3):
+        before = field.grid.values[:, 1:4].copy()
+        descent.step(rays, dark, dark, jitter, Rates(0, 9, 0, 0), *np.zeros((2, len(field.occupied.mask)), np.uint64), 0.1)
+        assert np.abs(field.grid.values[:, 1:4] - before).max() == pytest.approx(step * 1e-3, rel=1e-3)

@@ -92,8 +92,10 @@ def test_no_rays_and_rays_that_meet_nothing_have_answers(field, rays, device):
     assert (missed.through == 1).all() and (missed.samples[1] == 0).all() and np.isnan(missed.distance).all()
 
 
-def test_one_step_of_both_moves_the_same_voxels_and_weights_alike(field, rays, device):
+@pytest.mark.parametrize("most", [1e-3, 9])
+def test_one_step_of_both_moves_the_same_voxels_and_weights_alike(field, rays, device, most, monkeypatch):
     """RMSProp's first step is the gradient's sign times a rate, so gradients are compared by what is kept of them, too."""
+    monkeypatch.setattr("scene.field.descent.MOST", most)
     rng = np.random.default_rng(4)
     target, behind = rng.random((RAYS, 3), np.float32), rng.random((RAYS, 3), np.float32)
     jitter = rng.random(RAYS, np.float32)

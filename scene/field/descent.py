@@ -8,7 +8,7 @@ from scene.field import Field, Rays, kernels, network
 from scene.field.device import lengthened, placed
 from scene.field.grid import BRICK
 
-BETA1, BETA2 = 0.9, 0.99
+BETA1, BETA2 = 0.9, 0.95
 EPSILON = 1e-5
 LEAST = 1e-3
 """Samples with smaller gradients (of a squared colour error) and less than LIGHTEST weight are left out: RMSProp would move their voxels as far as those of a surface."""
@@ -17,6 +17,8 @@ KEPT = 0.98
 """Of what weighed on a voxel's colour before, this stays at each step that sees it: what the first rays say, of a shape still unknown, is forgotten."""
 SLIGHT = 0.05
 """Weight of the colour that a voxel has before any ray sees it."""
+MOST = 2e-4
+"""At step k no colour moves by more than k times this: colours that explain each picture before the shape is known keep it from being found."""
 
 
 @dataclass(frozen=True)
@@ -37,8 +39,9 @@ class Descent:
     """A field's voxels and its network, moved in place, where they lie; a subclass says how a step is made.
 
     Given the density, pictures are linear in the diffuse colours, which take what reconstruction from projections takes: the mean
-    residual of the rays that saw a voxel (SART, Andersen & Kak 1984), of all so far, so that rays that disagree settle. Density and features
-    follow RMSProp: a voxel is met seldom and with long breaks, so that a mean of its past gradients would say little. The network follows Adam.
+    residual of the rays that saw a voxel (SART, Andersen & Kak 1984), of all so far, so that rays that disagree settle; in small moves at
+    first (MOST). Density and features follow RMSProp: a voxel is met seldom and with long breaks, so that a mean of its past gradients
+    would say little. The network follows Adam.
     """
 
     def __init__(self, field: Field):
@@ -59,6 +62,11 @@ class Descent:
     def unbiased(self) -> float:
         """sqrt(1 - beta2^k) at step k."""
         return float(np.sqrt(1 - BETA2**self.steps))
+
+    @property
+    def most(self) -> float:
+        """By how much a colour may move at this step."""
+        return MOST * self.steps
 
     def adam(self, gradients: list, rate: float) -> None:
         """One step of Adam on the network."""
@@ -124,6 +132,6 @@ class KernelDescent(Descent):
     def _move(self, touched: np.ndarray, network_gradient: list, rates: Rates) -> None:
         kernels.in_parallel(
             kernels.move, len(touched), self.threads, self.field.grid.values, self.gradient, self.past, touched,
-            rates.voxel, np.float32(BETA2), np.float32(self.unbiased), np.float32(EPSILON), np.float32(KEPT), np.float32(SLIGHT),
+            rates.voxel, np.float32(BETA2), np.float32(self.unbiased), np.float32(EPSILON), np.float32(KEPT), np.float32(SLIGHT), np.float32(self.most),
         )  # fmt: skip
         self.adam(network_gradient, rates.network)

@@ -376,11 +376,11 @@ def look_up(first, last, piece, places, sizes, roots, starts, table, values, out
 
 
 @njit(**FAST)
-def move(first, last, piece, values, gradient, past, touched, rates, beta, unbiased, epsilon, kept, slight):
+def move(first, last, piece, values, gradient, past, touched, rates, beta, unbiased, epsilon, kept, slight, most):
     """One step on the touched voxels (a bit for each of a brick's 64); clears gradient and marks.
 
     Diffuse colours (1..3) go by the mean residual of the rays that saw the voxel, each weighted by how much: past[:, WEIGHT] is
-    the sum of the weights so far, of which ``kept`` stays at each step, and ``slight`` is added to it. The others follow
+    the sum of the weights so far, of which ``kept`` stays at each step, and ``slight`` is added to it; they move by ``most`` at most. The others follow
     RMSProp: past is the mean of their squared gradients, 1 - beta the weight of the newest one; unbiased: sqrt(1 - beta^k) at step k.
     rates (8,): of each channel.
     """
@@ -395,7 +395,7 @@ def move(first, last, piece, values, gradient, past, touched, rates, beta, unbia
                 for c in range(WEIGHT):
                     g = gradient[v, c]
                     if 1 <= c <= 3:
-                        values[v, c] -= rates[c] * g / (seen + slight)
+                        values[v, c] -= min(max(rates[c] * g / (seen + slight), -most), most)
                     else:
                         s = beta * past[v, c] + (np.float32(1.0) - beta) * g * g
                         past[v, c] = s

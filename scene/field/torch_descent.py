@@ -68,9 +68,9 @@ class TorchDescent(Descent):
         past = descent.BETA2 * self.past[rows] + (1 - descent.BETA2) * g**2
         past[:, WEIGHT] = descent.KEPT * self.past[rows, WEIGHT] + g[:, WEIGHT]
         self.past[rows] = past
-        step = self.unbiased * g / (past.sqrt() + descent.EPSILON)
-        step[:, 1:4] = g[:, 1:4] / (past[:, WEIGHT, None] + descent.SLIGHT)
-        self.field.grid.values[rows] -= rate * step
+        step = rate * self.unbiased * g / (past.sqrt() + descent.EPSILON)
+        step[:, 1:4] = (rate[1:4] * g[:, 1:4] / (past[:, WEIGHT, None] + descent.SLIGHT)).clamp(-self.most, self.most)
+        self.field.grid.values[rows] -= step
         self.gradient[rows] = 0
         self.gradient[: BRICK**3] = 0
         self.touched[rows] = False
