@@ -2,7 +2,8 @@
 
 Every simulated step of 1/240 s the motors of all joints get where the plan is now and how fast it moves until the next
 step, within the efforts that the URDF allows; gravity acts, the gripper opens and closes at its events. After the
-motion the last posture is held until things have come to rest. The judge reads the simulator's state and the world's
+motion the last posture is held until things have come to rest. A hand that presses too hard on what it is to touch stops
+where it is (a guarded move): what was drawn may end inside the thing, or behind a drawer once that is shut. The judge reads the simulator's state and the world's
 own conditions (conditions.py), never the plan.
 
     goal = p_object - distance * approach / |approach|      the point before the goal's object, where that stands now
@@ -25,10 +26,11 @@ from scene.files import parse_npz, replacing
 
 AT_REST, PATIENCE = 0.01, 3.0  # m/s; s after the motion that are waited for things to be slower
 PRESSED = 0.1  # s, over which a force is averaged: what presses, not what knocks
+LASTING = round(PRESSED / STEP)  # steps
 STRIP = 6  # pictures of a filmstrip
 NO_FILM = np.zeros((0, 0, 0, 3), np.uint8)
 WORDS = ("names", "touched", "touched_by", "conditions", "said")
-NUMBERS = ("duration", "final_error", "success", "fps", "fastest", "foot_slip", "touch_error", "press")
+NUMBERS = ("duration", "final_error", "success", "fps", "fastest", "foot_slip", "touch_error", "press", "stopped")
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +44,7 @@ class Execution:
     plan's end. conditions: names of the world's, with what was measured (K,), its bound (K,), whether each is met (K,)
     and said, in words. fastest [m/s]: of all things. foot_slip [m]: the farthest that a foot moved while it stood, 0 without
     legs. touch_error [m]: from where the hand was to touch to the nearest point of it and of what it holds, at the end; nan where it was
-    not to. press [N]: the largest force, over PRESSED seconds, on what the robot is to touch and does not hold. success: all are met. frames (F, H, W, 3) uint8 at ``fps``: the
+    not to. press [N]: the largest force, over PRESSED seconds, on what the robot is to touch and does not hold. stopped [s]: when it stopped for pressing too hard, nan if it did not. success: all are met. frames (F, H, W, 3) uint8 at ``fps``: the
     film, not kept by ``save``.
     """
 
@@ -68,6 +70,7 @@ class Execution:
     foot_slip: float
     touch_error: float
     press: float
+    stopped: float
     fps: float
     frames: np.ndarray
 
@@ -78,8 +81,8 @@ class Execution:
 
     @property
     def metrics(self) -> dict:
-        """Numbers for metrics.json; the tracking error is of the motion, without the settling."""
-        error = 1e3 * self.tip_error[self.times <= self.duration + STEP / 2]
+        """Numbers for metrics.json; the tracking error is of the motion, without the settling and what comes after a stop."""
+        error = 1e3 * self.tip_error[self.times <= np.fmin(self.duration, self.stopped) + STEP / 2]
         return {
             "tracking_error_mm": float(np.sqrt(np.mean(error**2))),
             "tracking_error_max_mm": float(error.max()),
@@ -89,6 +92,7 @@ class Execution:
             "fastest_thing_m_s": float(self.fastest),
             "foot_slip_mm": 1e3 * float(self.foot_slip),
             "press_n": float(self.press),
+            **({} if np.isnan(self.stopped) else {"stopped_s": float(self.stopped)}),
             **({} if np.isnan(self.touch_error) else {"touch_error_mm": 1e3 * float(self.touch_error)}),
             "conditions": {name: {"measured": float(value), "bound": float(bound), "met": bool(met)}
                            for name, value, bound, met in zip(self.conditions, self.measured, self.bounds, self.met)},
@@ -110,6 +114,7 @@ class Execution:
             f"{'; '.join(touches) if touches else 'nothing was touched'}"
             f"{'' if np.isnan(self.touch_error) else f'; it reached to {1e3 * self.touch_error:.1f} mm from the point that it was to touch'}"
             f"{f'; it pressed with up to {self.press:.0f} N on what it was to touch' if self.press >= 1 else ''}"
+            f"{'' if np.isnan(self.stopped) else f'; for that it stopped after {self.stopped:.2f} of {self.duration:.2f} s'}"
             f"{'; not as it was to be: ' if unmet else ''}{'; '.join(unmet)}"
         )
 
@@ -127,20 +132,21 @@ class Execution:
 
     @classmethod
     def _parsed(cls, arrays) -> "Execution":
-        later = {"foot_slip": np.array(0.0), "touch_error": np.array(np.nan), "press": np.array(0.0)}  # earlier files have none
+        later = {"foot_slip": np.array(0.0), "touch_error": np.array(np.nan), "press": np.array(0.0), "stopped": np.array(np.nan)}  # earlier files have none
         values = {f.name: (later | arrays)[f.name] for f in fields(cls) if f.name != "frames"}
         words = {name: tuple(values[name].tolist()) for name in WORDS}
         numbers = {name: values[name].item() for name in NUMBERS}
         return cls(**values | words | numbers, frames=NO_FILM)
 
 
-def perform(plan, arm, world, *, events=(), camera=None, fps=12.5, width=480, height=360, settle=0.6) -> Execution:
+def perform(plan, arm, world, *, events=(), camera=None, fps=12.5, width=480, height=360, settle=0.6, press=100.0) -> Execution:
     """The arm follows the plan among the bodies of the world, which changes by it.
 
     plan: Plan. arm: Arm. world: World, without a robot in it yet. events: Events at times [s] of the plan; the gripper
     knows "gripper_open" and "gripper_close". camera: Camera that films; None stands it where the world's ``film`` says,
     ``width`` x ``height`` [px]. fps: frames a second; 0 films nothing. settle [s]: how long the last posture is held at
-    least before the judge looks. Raises ValueError for a plan that is not feasible or of another arm.
+    least before the judge looks. press [N]: with more, over PRESSED seconds, on what it is to touch and does not hold, the robot stops where it
+    is, and what was to happen later does not; None: never. Raises ValueError for a plan that is not feasible or of another arm.
     """
     _check(plan, arm, fps, settle)
     arm = as_planned(arm, plan)
@@ -149,9 +155,10 @@ def perform(plan, arm, world, *, events=(), camera=None, fps=12.5, width=480, he
     robot.take(world)
     motion, duration = motion_spline(plan.times, plan.joints), float(plan.times[-1])
     legs = _legs(arm, motion, duration)
-    wanted = lambda time: np.concatenate([motion(min(time, duration)), legs(time)])
+    held = None
+    wanted = lambda time: held if held is not None else np.concatenate([motion(min(time, duration)), legs(time)])
     coming = sorted(events, key=lambda event: event.time)
-    times, joints, tip, feet, frames, presses, touches, fastest = [], [], [], [], [], [], {}, 0.0
+    times, joints, tip, feet, frames, presses, touches, fastest, stopped = [], [], [], [], [], [], {}, 0.0, np.nan
     for time in _clock(duration, settle, world):
         if times:
             robot.step(wanted(times[-1]), wanted(time))
@@ -162,11 +169,14 @@ def perform(plan, arm, world, *, events=(), camera=None, fps=12.5, width=480, he
         presses.append(_pressing(seen, world))
         fastest = max([fastest, *map(world.speed, world.movable)])
         state, position = robot.state()
+        if press is not None and np.isnan(stopped) and len(presses) >= LASTING and _sustained(presses[-LASTING:]) > press:
+            stopped, coming = time, []
+            held = np.concatenate([state, legs(time)])
         times.append(time), joints.append(state), tip.append(position), feet.append(robot.feet_down())
         if fps and len(frames) <= time * fps + 1e-9:
             frames.append(world.photograph(camera))
     times, joints, tip = np.array(times), np.array(joints), np.array(tip)
-    planned = arm.fk(motion(np.minimum(times, duration)))[:, :3, 3]
+    planned = arm.fk(motion(np.fmin(np.minimum(times, duration), stopped)))[:, :3, 3]
     goal, verdicts = judge(world, tip[-1], tuple(touches), planned_end=plan.touch if plan.touches else planned[-1])
     return Execution(
         times,
@@ -188,6 +198,7 @@ def perform(plan, arm, world, *, events=(), camera=None, fps=12.5, width=480, he
         slipped(np.array(feet)),
         robot.distance(plan.touch, world.in_hand) if plan.touches else np.nan,
         _sustained(presses),
+        stopped,
         float(fps),
         np.array(frames) if frames else NO_FILM,
     )
@@ -290,7 +301,7 @@ def _pressing(seen, world) -> float:
 
 def _sustained(forces) -> float:
     """The largest of forces (N,) [N] a step, averaged over PRESSED seconds."""
-    steps = min(round(PRESSED / STEP), len(forces))
+    steps = min(LASTING, len(forces))
     return float(np.convolve(forces, np.full(steps, 1 / steps), "valid").max())
 
 

@@ -128,6 +128,22 @@ def test_a_thing_is_pushed_over_a_table_with_the_force_of_its_friction(arm):
     assert f"it pressed with up to {done.press:.0f} N" in done.sentence and done.metrics["press_n"] == done.press
 
 
+def test_a_hand_that_presses_too_hard_on_what_it_is_to_touch_stops_there(arm):
+    """What it is to touch does not give way: it stops early, and holds, unless it is told never to; nothing happens after."""
+    post = {"name": "post", "shape": "box", "size": [0.1, 0.1, 1.2], "position": [0.25, 0.32, 0.3]}
+    spec = {"name": "post", "objects": [post], "touch": ["post"], "view": {"target": [0.3, 0, 0.4]}}
+    done = {}
+    for press in (60.0, None):
+        with World.from_spec(spec, textured=False) as world:
+            done[press] = perform(turned(arm, [0], 1.2), arm, world, fps=0, press=press, events=(Event("gripper_close", 2.0),))
+    guarded, pushing = done.values()
+    assert 60 < guarded.press < 120 < pushing.press and np.isnan(pushing.stopped)
+    after = guarded.times > guarded.stopped + 0.3
+    assert 0.3 < guarded.stopped < 1.5 and np.ptp(guarded.joints[after], axis=0).max() < 2e-3
+    assert f"it stopped after {guarded.stopped:.2f} of 2.00 s" in guarded.sentence and guarded.metrics["stopped_s"] == guarded.stopped
+    assert guarded.metrics["tracking_error_mm"] < pushing.metrics["tracking_error_mm"] and "stopped_s" not in pushing.metrics
+
+
 def test_motors_are_bound_by_their_effort_and_hold_the_arm_against_gravity(arm, tiny, monkeypatch):
     """An arm whose motors are too weak sinks: the simulated arm is driven, not placed."""
     robot = Robot(arm, tiny.client, arm.home)

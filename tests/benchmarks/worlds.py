@@ -6,7 +6,8 @@
 The scene is known from truth: sketches are drawn on the world's own views, whose cameras are exact. Seed k is the k-th
 variation of the world (world.seed = k), the k-th hand and the k-th plan; seed 0 is the world as published.
 Columns: feasible: share of the seeds whose intended path can be planned. Of those, planned: the sketched motion can; done:
-it is performed and meets all of the world's conditions. hand: distance [mm] from the goal, median and largest.
+it is performed and meets all of the world's conditions. hand: distance [mm] from the goal, median and largest. tracking:
+distance of the hand from the plan [mm, RMS], and pressed: force on what is to be touched [N], the largest of all seeds.
 """
 
 import argparse
@@ -65,7 +66,7 @@ def tried(name: str, seed: int, arm: Arm, skill_of, **settings) -> tuple[object,
 
 
 def row(name: str, seeds: range, arm: Arm, kind: str) -> str:
-    feasible, planned, done, hand = [], [], [], []
+    feasible, planned, done, performances = [], [], [], []
     for seed in seeds:
         started = time.process_time()
         chosen, performed = tried(name, seed, arm, intended, samples=1)
@@ -76,11 +77,13 @@ def row(name: str, seeds: range, arm: Arm, kind: str) -> str:
             planned.append(chosen.feasible)
             done.append(performed is not None and performed.success)
         if performed is not None:
-            hand.append(1e3 * performed.final_error)
+            performances.append(performed)
         said = performed.sentence if performed is not None else chosen.sentence
         print(f"  {name} {seed} ({time.process_time() - started:.0f} s): {said}", flush=True)
-    numbers = f"{np.median(hand):.0f} / {max(hand):.0f}" if hand else "-"
-    return f"| {name} | {sum(feasible)} of {len(feasible)} | {sum(planned)} of {len(planned)} | {sum(done)} of {len(done)} | {numbers} |"
+    hand = [1e3 * performed.final_error for performed in performances]
+    numbers = [f"{np.median(hand):.0f} / {max(hand):.0f}", f"{max(p.metrics['tracking_error_mm'] for p in performances):.1f}",
+               f"{max(p.press for p in performances):.0f}"] if hand else ["-"] * 3  # fmt: skip
+    return f"| {name} | {sum(feasible)} of {len(feasible)} | {sum(planned)} of {len(planned)} | {sum(done)} of {len(done)} | {' | '.join(numbers)} |"
 
 
 def main() -> None:
@@ -93,7 +96,7 @@ def main() -> None:
     options = parser.parse_args()
     arm = Arm.load(options.arm)
     rows = [row(name, range(options.first, options.first + options.seeds), arm, options.kind) for name in options.worlds]
-    print("| world | feasible | planned | done | hand, mm: median / most |\n|---|---|---|---|---|", *rows, sep="\n")
+    print("| world | feasible | planned | done | hand, mm: median / most | tracking, mm: most | pressed, N: most |\n|---|---|---|---|---|---|---|", *rows, sep="\n")
 
 
 if __name__ == "__main__":
