@@ -42,6 +42,9 @@ FINEST, FINEST_OPEN = 1536, 640
 """Cells an axis of the finest level, at most: before a backdrop, and without one."""
 NEAR = 0.02
 """Where the rays of a new view begin, in units of the box's half width."""
+CLOSER = (0.3, 0.8, 0.1)
+"""From the first to the second fraction of training, rays come to begin at the third of the distance within which nothing is: fog there
+would explain a picture while the shape is unknown, and later what other cameras left right before this one is to be seen and go."""
 OPAQUE = 0.1
 """Until this fraction of training, random colours stand behind a scene that has no backdrop."""
 FORMAT = 3
@@ -170,11 +173,11 @@ def fit(
         done = max(run.step / limit, run.seconds / seconds if seconds else 0.0)
         if done >= 1:
             break
-        if _advance(run, stages, done, points, prior, views, nearest, exposure and done >= EXPOSED) or pictures is None:
+        if _advance(run, stages, done, points, prior, views, nearest * _nearness(done), exposure and done >= EXPOSED) or pictures is None:
             stage = stages[run.stage]
-            pictures = Photographs.of(views, run.field.centre, run.field.half, nearest, stage.shrink)
+            pictures = Photographs.of(views, run.field.centre, run.field.half, stage.shrink)
         rng = np.random.default_rng((seed, run.step))
-        rays, target, which = pictures.draw(rng, BATCH)
+        rays, target, which = pictures.draw(rng, BATCH, nearest * _nearness(done))
         target /= run.gains[which]
         jitter = rng.random(len(target), np.float32)
         now = Rates(*(rate * decay**done for rate in rates))
@@ -195,6 +198,11 @@ def fit(
     if checkpoint is not None:
         Path(checkpoint).unlink(missing_ok=True)
     return run.field
+
+
+def _nearness(done: float) -> float:
+    begin, end, least = CLOSER
+    return float(np.interp(done, [begin, end], [1, least]))
 
 
 def _most(views) -> int:

@@ -16,11 +16,10 @@ class Photographs:
     pixels: list
     directions: list
     origins: list
-    near: float
     shown: list
 
     @classmethod
-    def of(cls, views, centre, half: float, near: float, scale: int) -> "Photographs":
+    def of(cls, views, centre, half: float, scale: int) -> "Photographs":
         """Pictures ``scale`` times smaller, averaged over areas; the box of interest gives the normalised frame."""
         pixels, directions, origins, shown = [], [], [], []
         for view in views:
@@ -32,10 +31,10 @@ class Photographs:
             mask = None if view.mask is None else 255 * view.mask.astype(np.uint8)
             whole = None if mask is None else cv2.resize(mask, (width, height), interpolation=cv2.INTER_AREA) == 255
             shown.append(None if mask is None else np.flatnonzero(whole))
-        return cls(pixels, directions, origins, near, shown)
+        return cls(pixels, directions, origins, shown)
 
-    def draw(self, rng: np.random.Generator, count: int) -> tuple[Rays, np.ndarray, np.ndarray]:
-        """Rays through ``count`` random pixels, their colours (count, 3) in [0, 1], and the numbers of their pictures (count,).
+    def draw(self, rng: np.random.Generator, count: int, near: float) -> tuple[Rays, np.ndarray, np.ndarray]:
+        """Rays from the distance ``near`` on through ``count`` random pixels, their colours (count, 3) in [0, 1], and the numbers of their pictures (count,).
 
         No two of them are neighbours on purpose: pixels side by side teach the same voxels the same thing.
         """
@@ -44,7 +43,7 @@ class Photographs:
         places = rng.random((count, 2))
         drawn = [self._rays(k, places[which == k]) for k in np.unique(which)]
         origins, directions, colours = (np.concatenate(part) for part in zip(*drawn))
-        return Rays(origins, directions, np.full(len(origins), self.near, np.float32)), colours, which
+        return Rays(origins, directions, np.full(len(origins), near, np.float32)), colours, which
 
     def _rays(self, k: int, places: np.ndarray):
         height, width = self.pixels[k].shape[:2]

@@ -11,6 +11,7 @@ from hypothesis.extra.numpy import arrays
 
 from scene.camera import Camera, View, look_at, orbit
 from scene.field import CHANNELS, QUANTA, Field, _rounded, _unrounded
+from scene.field.descent import KernelDescent
 from scene.field.volume import psnr
 from scene.fit import fit
 
@@ -169,3 +170,12 @@ def test_a_killed_training_goes_on_to_the_same_field(views, new_view, tmp_path, 
     np.testing.assert_array_equal(whole.grid.values, again.grid.values)
     np.testing.assert_array_equal(whole.render(new_view)[0], again.render(new_view)[0])
     assert not list(tmp_path.iterdir())
+
+
+def test_rays_come_to_begin_nearer_as_training_goes_on(views, monkeypatch):
+    begun = []
+    step = KernelDescent.step
+    monkeypatch.setattr(KernelDescent, "step", lambda self, rays, *rest: begun.append(float(rays.near.max())) or step(self, rays, *rest))
+    points = np.random.default_rng(0).uniform(-0.5, 0.5, (300, 3)) * [1, 1, 0]
+    fit(views, points=points, steps=20, seed=0, progress=False)
+    assert (np.diff(begun) <= 0).all() and begun[5] == begun[0] > 0 and begun[-1] == pytest.approx(0.1 * begun[0])

@@ -75,7 +75,7 @@ def test_masks_of_a_transforms_json_come_through_and_are_undistorted_with_their_
 
 def test_no_ray_is_drawn_through_what_is_masked():
     views = [View("a", CAMERA, np.where(LEFT[..., None], 200, 10).astype(np.uint8).repeat(3, 2), LEFT), View("b", CAMERA, picture())]
-    drawn = Photographs.of(views, np.zeros(3), 1.0, 0.0, 2)
-    rays, colours, _ = drawn.draw(np.random.default_rng(0), 3000)
+    drawn = Photographs.of(views, np.zeros(3), 1.0, 2)
+    rays, colours, _ = drawn.draw(np.random.default_rng(0), 3000, 0.0)
     of_a = (rays.origins == drawn.origins[0]).all(1) & (colours == colours[:, :1]).all(1)
     assert np.abs(colours[of_a] - 200 / 255).max() < 1e-6 and 0.2 < of_a.mean() < 0.5

@@ -36,7 +36,7 @@ def test_a_ray_has_the_colour_of_the_pixel_it_goes_through():
     image = picture()
     one = view(image)
     centre, half = np.array([0.1, 0.2, 0.3]), 1.7
-    rays, colours, _ = Photographs.of([one], centre, half, 0.0, 1).draw(np.random.default_rng(0), 300)
+    rays, colours, _ = Photographs.of([one], centre, half, 1).draw(np.random.default_rng(0), 300, 0.0)
     points = (rays.origins + 1.3 * rays.directions) * half + centre
     pixels = one.camera.project(points.astype(float))
     x, y = np.floor(pixels).astype(int).T

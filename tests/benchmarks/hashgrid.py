@@ -59,12 +59,12 @@ class Rival:
 
     def fit(self, seconds: float) -> int:
         """Learn for so many seconds; how many steps that were."""
-        pictures = Photographs.of(self.views, self.centre, self.half, self.near, 1)
+        pictures = Photographs.of(self.views, self.centre, self.half, 1)
         descent = torch.optim.Adam(self.model.parameters(), lr=1e-2, eps=1e-15)
         started, steps = time.perf_counter(), 0
         while (done := (time.perf_counter() - started) / seconds) < 1:
             descent.param_groups[0]["lr"] = 1e-2 * 0.1**done
-            rays, target, _ = pictures.draw(self.rng, BATCH)
+            rays, target, _ = pictures.draw(self.rng, BATCH, self.near)
             loss = ((self._colours(rays.origins, rays.directions, jitter=True) - torch.tensor(target)) ** 2).mean()
             descent.zero_grad()
             loss.backward()
