@@ -38,7 +38,7 @@ class Execution:
     """What the robot did, a row for each of N control steps; the time after the plan's end is for settling.
 
     times (N,) [s]. joints (N, J) [rad]. names: of the joints. tip (N, 3) [m]. tip_error (N,) [m]: against the planned
-    tip at the same time. duration [s]: of the plan. touched: bodies that the robot was not to touch and did, in that
+    tip at the same time, or when it stopped. duration [s]: of the plan. touched: bodies that the robot was not to touch and did, in that
     order, with touched_by, the link that did, touched_at (C,) [s] and touch_depth (C,) [m], the deepest overlap. goal
     (3,) [m]: where the tip was to end (nan in a world without a goal). final_error [m]: from there, or else from the
     plan's end. conditions: names of the world's, with what was measured (K,), its bound (K,), whether each is met (K,)
@@ -148,7 +148,7 @@ def perform(plan, arm, world, *, events=(), camera=None, fps=12.5, width=480, he
     least before the judge looks. press [N]: with more, over PRESSED seconds, on what it is to touch and does not hold, the robot stops where it
     is, and what was to happen later does not; None: never. Raises ValueError for a plan that is not feasible or of another arm.
     """
-    _check(plan, arm, fps, settle)
+    _check(plan, arm, fps, settle, press)
     arm = as_planned(arm, plan)
     camera = film_camera(world.spec, width, height) if camera is None and fps else camera
     robot = Robot(arm, world.client, plan.joints[0])
@@ -177,7 +177,7 @@ def perform(plan, arm, world, *, events=(), camera=None, fps=12.5, width=480, he
             frames.append(world.photograph(camera))
     times, joints, tip = np.array(times), np.array(joints), np.array(tip)
     planned = arm.fk(motion(np.fmin(np.minimum(times, duration), stopped)))[:, :3, 3]
-    goal, verdicts = judge(world, tip[-1], tuple(touches), planned_end=plan.touch if plan.touches else planned[-1])
+    goal, verdicts = judge(world, tip[-1], tuple(touches), planned_end=plan.touch if plan.touches else arm.fk(plan.joints[-1])[:3, 3])
     return Execution(
         times,
         joints,
@@ -273,13 +273,15 @@ def save_video(path, frames: Sequence[np.ndarray], fps: float) -> None:
             video.mux(stream.encode())
 
 
-def _check(plan, arm, fps, settle):
+def _check(plan, arm, fps, settle, press):
     if not plan.feasible:
         raise ValueError(f"the plan is not feasible, so it is not performed: {plan.sentence}")
     if tuple(plan.names) != tuple(arm.joint_names):
         raise ValueError(f"the plan moves {', '.join(plan.names)}, but this arm has {', '.join(arm.joint_names)}")
     if not (fps >= 0 and settle >= 0):
         raise ValueError(f"fps and settle must not be negative, not {fps} and {settle}")
+    if press is not None and not press > 0:
+        raise ValueError(f"press is a force in N above 0, or null for none, not {press}")
 
 
 def _note_touches(touches: dict, seen, world, time) -> None:

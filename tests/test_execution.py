@@ -140,8 +140,15 @@ def test_a_hand_that_presses_too_hard_on_what_it_is_to_touch_stops_there(arm):
     assert 60 < guarded.press < 120 < pushing.press and np.isnan(pushing.stopped)
     after = guarded.times > guarded.stopped + 0.3
     assert 0.3 < guarded.stopped < 1.5 and np.ptp(guarded.joints[after], axis=0).max() < 2e-3
+    assert guarded.final_error > 0.1 and not guarded.success  # from the plan's end, in a world without a goal
     assert f"it stopped after {guarded.stopped:.2f} of 2.00 s" in guarded.sentence and guarded.metrics["stopped_s"] == guarded.stopped
     assert guarded.metrics["tracking_error_mm"] < pushing.metrics["tracking_error_mm"] and "stopped_s" not in pushing.metrics
+
+
+@pytest.mark.parametrize("press", [0, -5.0, np.nan])
+def test_a_force_that_is_none_is_refused(arm, tiny, press):
+    with pytest.raises(ValueError, match="press is a force in N above 0"):
+        perform(turned(arm, [0], 0.1), arm, tiny, fps=0, press=press)
 
 
 def test_motors_are_bound_by_their_effort_and_hold_the_arm_against_gravity(arm, tiny, monkeypatch):
