@@ -173,11 +173,12 @@ def fit(
         done = max(run.step / limit, run.seconds / seconds if seconds else 0.0)
         if done >= 1:
             break
-        if _advance(run, stages, done, points, prior, views, nearest * _nearness(done), exposure and done >= EXPOSED) or pictures is None:
+        near = nearest * np.interp(done, CLOSER[:2], (1, CLOSER[2]))
+        if _advance(run, stages, done, points, prior, views, near, exposure and done >= EXPOSED) or pictures is None:
             stage = stages[run.stage]
             pictures = Photographs.of(views, run.field.centre, run.field.half, stage.shrink)
         rng = np.random.default_rng((seed, run.step))
-        rays, target, which = pictures.draw(rng, BATCH, nearest * _nearness(done))
+        rays, target, which = pictures.draw(rng, BATCH, near)
         target /= run.gains[which]
         jitter = rng.random(len(target), np.float32)
         now = Rates(*(rate * decay**done for rate in rates))
@@ -198,11 +199,6 @@ def fit(
     if checkpoint is not None:
         Path(checkpoint).unlink(missing_ok=True)
     return run.field
-
-
-def _nearness(done: float) -> float:
-    begin, end, least = CLOSER
-    return float(np.interp(done, [begin, end], [1, least]))
 
 
 def _most(views) -> int:
@@ -231,7 +227,7 @@ def _start(views, points, bounds, shading: Shading, device, threads, thin) -> Tr
     return Training(field, _descent(field, threads), *np.zeros((2, 1), np.uint64), np.ones((len(views), 3), np.float32))
 
 
-def _advance(run: Training, stages, done: float, points, prior, views, nearest, exposure: bool) -> bool:
+def _advance(run: Training, stages, done: float, points, prior, views, near, exposure: bool) -> bool:
     """Prune, and go to the next stage, when it is time. True if a stage begins."""
     due = run.step - run.pruned >= stages[run.stage].prune or run.stage < 0
     begins = due and run.stage + 1 < len(stages) and done >= stages[run.stage + 1].begin
@@ -239,7 +235,7 @@ def _advance(run: Training, stages, done: float, points, prior, views, nearest, 
         return False
     mask = run.field.occupied.mask
     if run.stage >= 0:
-        _sweep(run, views, stages[run.stage].visible, nearest, exposure)
+        _sweep(run, views, stages[run.stage].visible, near, exposure)
         mask = run.seen if points is None else occupancy.marked(run.seen, _places(run, points))
     if begins:
         run.stage += 1
@@ -257,7 +253,7 @@ def _advance(run: Training, stages, done: float, points, prior, views, nearest, 
     return begins
 
 
-def _sweep(run: Training, views, visible: float, nearest: float, exposure: bool) -> None:
+def _sweep(run: Training, views, visible: float, near: float, exposure: bool) -> None:
     """Note what all pictures see, so that no cell is pruned for want of a ray, and how they are exposed."""
     rng = np.random.default_rng(run.step)
     logs = []
@@ -266,7 +262,7 @@ def _sweep(run: Training, views, visible: float, nearest: float, exposure: bool)
         x, y = rng.random(2) * every
         pixels = np.stack(np.meshgrid(np.arange(x, view.camera.width, every), np.arange(y, view.camera.height, every)), -1)
         rays = run.field.rays(*view.camera.rays(pixels.reshape(-1, 2)))
-        rays.near[:] = nearest
+        rays.near[:] = near
         marched = run.field.march(rays, keep=100, seen=run.seen, surface=run.surface, visible=visible, threads=run.descent.threads)
         if exposure:
             colour = run.field.shade(marched, rays, run.field.behind(len(rays.near)), run.descent.threads)
