@@ -21,6 +21,8 @@ from pathlib import Path
 from conf.run import launch
 from conf.stages import write_json
 
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a job in the background is born without it
+
 def task(job):
     seed = job.cfg.seed
     with open("began.txt", "a") as file:
