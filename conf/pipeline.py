@@ -24,7 +24,7 @@ STAGES = (
     Stage("capture", scene_stages.capture, ("photos", "tags.json", "truth.json"), settings=(*PHOTOGRAPHED, "robot.photographs", *SCENE), shared=True),
     Stage("reconstruct", scene_stages.reconstruct, ("images", "colmap", "sparse.ply", "transforms.json"),
           settings=("scene.colmap", "scene.frame", "scene.resection", *SCENE), inputs=scene_stages.fingerprint, shared=True),
-    Stage("train", scene_stages.train, ("field.pt", "held_out"), ("reconstruct",), ("scene.fit", *SCENE), shared=True, resumable=True),
+    Stage("train", scene_stages.train, ("field.pt", "held_out", "moved"), ("reconstruct",), ("scene.fit", *SCENE), shared=True, resumable=True),
     Stage("surface", scene_stages.surface, ("mesh.ply", "mesh.png", "collision", "space.npz"), ("train",), ("scene.surface", *SCENE),
           shared=True, resumable=True),
     Stage("render", scene_stages.render, ("views",), ("train",), ("scene.views", "world.workspace", *VIEWED),

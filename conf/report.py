@@ -114,6 +114,8 @@ def _field(page: _Page, metrics: dict) -> list[str]:
         depth = np.load(path.with_name(f"{path.stem}_depth.npy"))
         figure = figures.beside(views[path.stem].image, load_image(path), depth)
         parts.append(page.picture(f"held_out{i}", figure, f"{path.stem}: held out, rendered, and its depth."))
+    for path in sorted((page.capture / "moved").glob("*.png"))[:4]:
+        parts.append(page.image(path, f"{path.stem}: what is marked looks otherwise than in the other photographs. On the right the field."))
     orbit = page.capture / "views" / "orbit.mp4"
     return parts + ([page.video(orbit, "An orbit rendered from the field.")] if orbit.exists() else [])
 

@@ -79,6 +79,7 @@ def train(job: Job, out: Path) -> dict:
     """The field learns the scene from all photographs but every eighth, which measure it."""
     from conf.evaluation import field_errors
     from scene.dataset import load_points, load_views
+    from scene.moved import moved
     from scene.photographs import spoilt
 
     views = load_views(job.capture)
@@ -99,7 +100,22 @@ def train(job: Job, out: Path) -> dict:
     if metrics["psnr"] < POOR_DB:
         log.warning("  note: the field shows held-out photographs poorly; look at %s. Were things moved between the photographs, are "
                     "they of several scenes, or exposed very differently?", out / "held_out")  # fmt: skip
-    return metrics
+    return metrics | {"moved": _show_moved(moved(field, training, partial(progress, title="compare")), job, out / "moved")}
+
+
+def _show_moved(odd, job: Job, folder: Path) -> int:
+    """Photographs that show a thing where the others do not have it are named, and drawn into ``folder``."""
+    from scene.dataset import save_image
+
+    folder.mkdir(exist_ok=True)
+    for one in odd:
+        save_image(folder / f"{one.view.name}.png", one.picture())
+    if odd:
+        names = ", ".join(one.view.name for one in odd)
+        log.warning("  note: %s: something there looks otherwise than in the other photographs (marked in %s). Was a thing moved, or somebody in "
+                    "the picture? It stands blurred in the field: take photographs anew, leave these out or hide it by masks.",
+                    names, job.capture / "moved")  # fmt: skip
+    return len(odd)
 
 
 def split(views) -> tuple[list, list]:

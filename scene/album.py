@@ -21,7 +21,7 @@ from PIL import ExifTags, Image
 from scene.dataset import EXTENSIONS, FEWEST_PHOTOGRAPHS, load_image
 
 NO_CAMERAS = (
-    "masks", "poses", "sparse", "colmap", "dense", "depth", "depths", "views", "sketches", "collision", "held_out",
+    "masks", "poses", "sparse", "colmap", "dense", "depth", "depths", "views", "sketches", "collision", "held_out", "moved",
 )  # fmt: skip
 """Subfolders that lie beside photographs for another purpose; ``images_2``, ... are smaller copies of ``images``."""
 
