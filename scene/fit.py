@@ -5,12 +5,13 @@
 Coarse to fine: while training goes on, levels join the pyramid (`scene.field.grid`), the pictures get larger and the space
 that rays pass through shrinks to what is seen. The points of the reconstruction say where surfaces are to be expected.
 
-Pictures taken before a plain backdrop (`scene.photographs.backdrop`) keep its colour behind everything. Other scenes go on
+Pictures taken before a plain backdrop (`scene.exposure.backdrop`) keep its colour behind everything. Other scenes go on
 to where no picture reaches, and every ray of them ends somewhere: at first another random colour stands behind
 each ray, so that only something opaque can explain it, and space that the cameras look through to points is empty.
 
 Pictures of one scene may be exposed and balanced differently: picture = gain * colour, channel by channel, which is exact
-where a camera's curve is a power of the light. Gains are estimated now and then from what the field has become.
+where a camera's curve is a power of the light. Strong differences are told beforehand (`scene.exposure.exposed`); without them gains are
+estimated now and then from what the field has become.
 """
 
 import hashlib
@@ -22,6 +23,7 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
+from scene.exposure import backdrop, exposed, gains, ratios
 from scene.field import Field, Shading, kernels, occupancy
 from scene.field.cells import dilate
 from scene.field.descent import Descent, KernelDescent, Rates
@@ -29,11 +31,11 @@ from scene.field.device import chosen
 from scene.field.grid import Grid
 from scene.field.torch_descent import TorchDescent
 from scene.files import replacing
-from scene.photographs import Photographs, backdrop, gains, ratios
+from scene.photographs import Photographs
 
 SCALE = 50.0
 STEPS = 3200
-"""Default number of steps. For 42 photographs of 640x480, two cores did 1650 in 30 s and 4090 in 60 s."""
+"""Default number of steps. For 42 photographs of 640x480, two cores did 4159 in 60 s."""
 BATCH = 2048
 """Rays a step."""
 PASSES = 4
@@ -156,12 +158,13 @@ def fit(
     """
     _check(views, device, deterministic)
     device = "cpu" if deterministic else device
-    behind_all = backdrop(views)
+    behind_all, brighter = exposed(views, points) if exposure else (backdrop(views), np.ones((len(views), 3), np.float32))
+    unsure = exposure and bool((brighter == 1).all())
     stages = stages or schedule(views, open_ended=not len(behind_all))
     rates = rates or learning_rates(len(views), open_ended=not len(behind_all))
     threads = 1 if deterministic else kernels.THREADS
     run = _resume(checkpoint, views, seed, stages, device, threads) or _start(
-        views, points, bounds, Shading.initial(np.random.default_rng(seed), behind_all, hidden), device, threads, thin
+        views, points, bounds, Shading.initial(np.random.default_rng(seed), behind_all, hidden), device, threads, thin, brighter
     )
     limit = steps if steps is not None else min(STEPS if seconds is None else np.inf, _most(views))
     clock, saved = time.perf_counter() - run.seconds, time.perf_counter()
@@ -174,7 +177,7 @@ def fit(
         if done >= 1:
             break
         near = nearest * np.interp(done, CLOSER[:2], (1, CLOSER[2]))
-        if _advance(run, stages, done, points, prior, views, near, exposure and done >= EXPOSED) or pictures is None:
+        if _advance(run, stages, done, points, prior, views, near, unsure and done >= EXPOSED) or pictures is None:
             stage = stages[run.stage]
             pictures = Photographs.of(views, run.field.centre, run.field.half, stage.shrink)
         rng = np.random.default_rng((seed, run.step))
@@ -217,14 +220,14 @@ def _descent(field: Field, threads: int) -> Descent:
     return KernelDescent(field, threads) if field.twin is None else TorchDescent(field)
 
 
-def _start(views, points, bounds, shading: Shading, device, threads, thin) -> Training:
+def _start(views, points, bounds, shading: Shading, device, threads, thin, brighter) -> Training:
     centre, half = occupancy.box_of_interest(views, points, bounds)
     occupied = occupancy.seen(views, centre, half, 64)
     field = Field(
         centre, half, Grid.empty(), shading, occupancy.Occupancy.of(occupied),
         step=1.0, scale=SCALE, shift=float(np.log(np.expm1(thin / SCALE))), near=NEAR,
     ).on(device)  # fmt: skip
-    return Training(field, _descent(field, threads), *np.zeros((2, 1), np.uint64), np.ones((len(views), 3), np.float32))
+    return Training(field, _descent(field, threads), *np.zeros((2, 1), np.uint64), brighter)
 
 
 def _advance(run: Training, stages, done: float, points, prior, views, near, exposure: bool) -> bool:

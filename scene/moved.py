@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from scene.camera import View
-from scene.photographs import gains, ratios
+from scene.exposure import gains, ratios
 
 LONGEST = 200
 """Photographs are compared at so many pixels along their longer side."""
@@ -64,7 +64,7 @@ def _rendered(field, view: View) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _exposure(view: View, image, solid) -> np.ndarray:
-    """``scene.photographs.ratios`` of a view over the whole rendering."""
+    """``scene.exposure.ratios`` of a view over the whole rendering."""
     height, width = solid.shape
     x, y = (np.arange(width) + 0.5) * view.camera.width / width, (np.arange(height) + 0.5) * view.camera.height / height
     pixels = np.stack(np.meshgrid(x, y), axis=-1)[solid]

@@ -1,4 +1,4 @@
-"""The training pictures as rays with colours, at one scale, and the backdrop they were taken before."""
+"""The training pictures as rays with colours, at one scale, and those that show nothing."""
 
 from dataclasses import dataclass
 
@@ -66,51 +66,3 @@ def spoilt(views, more: float = 0.5) -> list[str]:
         image = view.image[::2, ::2]
         blank.append(((image.min(-1) >= 250) | (image.max(-1) <= 16)).mean())
     return [view.name for view, share in zip(views, blank, strict=True) if share > np.median(blank) + more]
-
-
-def ratios(view, pixels: np.ndarray, colour: np.ndarray, dark: float = 0.05) -> np.ndarray:
-    """(2, 3) log of how much brighter the picture is at pixels (n, 2) than ``colour`` (n, 3) in [0, 1], by channel: the
-    median in its left half and in its right half.
-
-    Pixels that a mask hides and dark ones say nothing.
-    """
-    x, y = pixels.astype(np.int64).T
-    shown = view.image[y, x].astype(np.float32) / 255
-    telling = (shown > dark) & (colour > dark) & (True if view.mask is None else view.mask[y, x][:, None])
-    halves = [telling & (left == (x < view.camera.width / 2))[:, None] for left in (True, False)]
-    return np.array([[np.log(np.median(s[t] / c[t])) if t.any() else 0.0 for s, c, t in zip(shown.T, colour.T, half.T)] for half in halves])
-
-
-def gains(logs: np.ndarray) -> np.ndarray:
-    """(pictures, 3) how much brighter each picture is than the scene, their geometric mean 1, from ``ratios`` (pictures, 2, 3).
-
-    What a picture happens to show, and what is not learned yet, makes one half differ from the other; exposure is what both
-    have in common. Their covariance over pictures against the variance of their mean (split-half reliability) is the part kept.
-    """
-    logs = logs - logs.mean(0)
-    mean, common = logs.mean(1), (logs[:, 0] * logs[:, 1]).mean()
-    kept = np.clip(common / max((mean**2).mean(), 1e-12), 0, 1)
-    return np.exp(kept * mean).astype(np.float32)
-
-
-def backdrop(views, least: float = 0.03, tolerance: int = 3) -> np.ndarray:
-    """The plain colour (3,) in [0, 1] before which the pictures were taken, or (0,) if they show no such thing.
-
-    It is the commonest colour of pixels that look like all around them, if at least the share ``least`` of all have it:
-    white paper, a clear sky, a simulator's empty space.
-    """
-    flat = []
-    for view in views:
-        image = view.image[::2, ::2]
-        spread = cv2.dilate(image, np.ones((7, 7))) - cv2.erode(image, np.ones((7, 7)))
-        flat.append(image[spread.max(-1) <= 2])
-    colours = np.concatenate(flat).astype(np.int32)
-    pixels = sum(view.image[::2, ::2, 0].size for view in views)
-    if len(colours) < least * pixels:
-        return np.zeros(0, np.float32)
-    coarse, count = np.unique(colours // 4 @ np.array([1, 64, 4096]), return_counts=True)
-    commonest = coarse[count.argmax()] // np.array([1, 64, 4096]) % 64 * 4 + 2
-    alike = colours[np.abs(colours - commonest).max(-1) <= tolerance + 2]
-    if len(alike) < least * pixels:
-        return np.zeros(0, np.float32)
-    return np.median(alike, axis=0).astype(np.float32) / 255

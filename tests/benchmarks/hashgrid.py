@@ -7,9 +7,10 @@ import numpy as np
 import torch
 from torch import nn
 
+from scene.exposure import backdrop
 from scene.field import UNSEEN, occupancy
 from scene.field.volume import composite, contract, harmonics
-from scene.photographs import Photographs, backdrop
+from scene.photographs import Photographs
 
 LEVELS, FEATURES, ENTRIES, COARSEST, FINEST = 8, 4, 2**17, 16, 1024
 CELLS, SAMPLES, BATCH, DECAY = 64, 96, 1024, 0.95
