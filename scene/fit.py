@@ -35,7 +35,7 @@ from scene.photographs import Photographs
 
 SCALE = 50.0
 STEPS = 3200
-"""Default number of steps. For 42 photographs of 640x480, two cores did 4159 in 60 s."""
+"""Default number of steps. For 42 photographs of 640x480, two cores did 3251 in 60 s."""
 BATCH = 2048
 """Rays a step."""
 PASSES = 4
