@@ -11,6 +11,8 @@ import numpy as np
 
 UNEQUAL, LEVEL = 0.08, 0.02
 """RMS of the gains' log from which on points are believed, and pixels of a backdrop: pictures exposed alike have up to 0.04 and 0.000."""
+MOST = 4000
+"""Points that are asked, at most."""
 LEAST = 0.03
 """Share of all pixels that show a backdrop, at least."""
 NEAR, FLAT = 0.3, 0.005
@@ -45,6 +47,7 @@ def by_points(views, points, dark: float = 0.05, bright: float = 0.97, rounds: i
     log colour = log gain + point, fitted by medians in turn (median polish, Tukey 1977): a point that something hides in a
     picture has any colour there, but most are seen by most. Where a colour is nearly black or white it says nothing.
     """
+    points = points[:: -(-len(points) // MOST)]
     colours = np.full((len(views), len(points), 3), np.nan, np.float32)
     for view, of_points in zip(views, colours, strict=True):
         pixels = view.camera.project(points)

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from scene import exposure
 from scene.camera import Camera, View, look_at
 from scene.exposure import backdrop, by_points, exposed, gains, ratios
 
@@ -90,6 +91,12 @@ def test_gains_are_what_both_halves_of_the_pictures_say():
 def test_points_tell_exposures_even_where_some_are_hidden(points):
     np.testing.assert_allclose(by_points(taken(photographed(points, None, hidden=0)), points), TRUE, rtol=0.03)
     np.testing.assert_allclose(by_points(taken(photographed(points, None)), points), TRUE, rtol=0.08)
+
+
+def test_of_many_points_some_are_asked(points, monkeypatch):
+    views = taken(photographed(points, None, hidden=0))
+    monkeypatch.setattr(exposure, "MOST", 60)
+    np.testing.assert_array_equal(by_points(views, points), by_points(views, points[::3]))
 
 
 def test_points_that_no_picture_shows_tell_nothing(points):
