@@ -28,17 +28,22 @@ def exposed(views, points=None) -> tuple[np.ndarray, np.ndarray]:
     """
     flat, equal = [_flat(view.image) for view in views], np.ones((len(views), 3), np.float32)
     rough = equal if points is None or not len(points) else by_points(views, points)
-    if len(colour := _backdrop(views, flat, rough)):
-        own = np.stack([_own_backdrop(*one, colour * gain) for *one, gain in zip(views, flat, rough, strict=True)])
-        shown = np.isfinite(own[:, 0])
-        if shown.any():
-            seen = own[shown] / _mean(own[shown])
-            found = rough / _mean(rough[shown])
-            found[shown] = seen
-            found = found / _mean(found) if _spread(seen) > LEVEL else equal
-            return _backdrop(views, flat, found), found.astype(np.float32)
-    found = rough if _spread(rough) > UNEQUAL else equal
+    colour = _backdrop(views, flat, rough)
+    found = _by_backdrop(views, flat, rough, colour) if len(colour) else None
+    if found is None:
+        found = rough if _spread(rough) > UNEQUAL else equal
     return _backdrop(views, flat, found), found
+
+
+def _by_backdrop(views, flat, rough, colour) -> np.ndarray | None:
+    """The pictures' gains by how bright each shows the backdrop, those that show none ``rough``; None where no picture says."""
+    own = np.stack([_own_backdrop(*one, colour * gain) for *one, gain in zip(views, flat, rough, strict=True)])
+    shown = np.isfinite(own[:, 0])
+    if not shown.any():
+        return None
+    found = rough / _mean(rough[shown])
+    found[shown] = own[shown] / _mean(own[shown])
+    return found / _mean(found) if _spread(found[shown]) > LEVEL else np.ones_like(rough)
 
 
 def by_points(views, points, dark: float = 0.05, bright: float = 0.97, rounds: int = 10) -> np.ndarray:
