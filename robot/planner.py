@@ -8,8 +8,8 @@
        All profiles are tried on the mean; the samples begin with those that served the mean best (attempt.py).
        A mean that is refused is moved away from what it meets, as little as its distribution says (deform.py); an end out of
        reach gives way to the nearest place within it, if the distribution has it so near.
-    3. Of the feasible candidates take the most likely that is ``comfortable`` clear; if none is, the one with most
-       clearance.
+    3. Of the feasible candidates take the most likely, where being less than ``comfortable`` clear counts too: the square of
+       what is missing, and at the margin twice what parts a typical sample from the mean.
     4. Time it (timing.py) and check the timed motion once more, as it will be performed.
     5. If none is feasible from where a robot with legs stands, it walks to where one is (base.py), and plans there anew.
 
@@ -38,6 +38,7 @@ BEGINNINGS = 4  # postures where the motion begins that are tried to get to
 ADVICE = "robot.planner.approach=null bends the motion to begin where the hand is"
 AT_THE_END, SNAPPED = 0.97, 0.015  # share of a motion's time; m, of its end from what it is to touch there
 KEPT = 0.005  # m, deviation of where samples end from where the mean does, each axis
+BARELY = 6.0  # what being no clearer than the margin costs, in squared deviations: twice what a sample is off in expectation
 SLOW = 10  # times as long as it was drawn, of which one is told
 STANDS = ("here", "walk", "say")
 POSITION_TOLERANCE = 2e-3  # m, of the timed motion against the candidate
@@ -71,9 +72,8 @@ def plan(
     skill: Skill. arm: Arm. world: Obstacles of a World (or anything with ``client`` and ``bodies``; what it ``held`` moves
     with the hand, what is to ``touch`` only the other links keep clear of), None for free space. start (J,)
     [rad]: the present posture (home). seed: of the samples. samples: candidates, the mean among them. waypoints: of
-    each path. margin [m]: least clearance to anything. comfortable [m]: clearance beyond which more likely is better
-    than more clear. postures: end postures tried on the mean. rate [Hz]: samples of the plan. moved [m]: how far a mean
-    that is refused may be moved at most, 0 for not at all. keep_out: boxes to keep out of, see keepout.py. outlined_for:
+    each path. margin [m]: least clearance to anything. comfortable [m]: clearance beyond which more is no better. postures:
+    end postures tried on the mean. rate [Hz]: samples of the plan. moved [m]: how far a mean that is refused may be moved at most, 0 for not at all. keep_out: boxes to keep out of, see keepout.py. outlined_for:
     the only links that must keep out of the regions that skill.keep_out outlines, all where it is None. held: bodies that
     the hand carries from the start. approach [m]: where the hand is farther from where the motion was taught to begin, it
     goes there first; nearer, or where this is None, the motion is conditioned to begin at the hand. orientation: of the
@@ -225,7 +225,7 @@ def _motion(skill, search, samples, waypoints, seed, rate, moved) -> Plan:
     way = dict(enumerate(way)) | {index: MOVED - index for index in detours}
     unlikely = {a.index: _unlikely(ways[way[a.index]], a.points) for a in attempts}
     refusals = {a.index: a.refusal for a in attempts if a.refusal}
-    for attempt in _in_order(attempts, unlikely, comfortable):
+    for attempt in _in_order(attempts, unlikely, search.margin, comfortable):
         try:
             timed = _time(arm, model, attempt, skill.duration, rate)
             refusals[attempt.index] = _timed_refusal(model, timed, attempt.index, search.margin)
@@ -316,11 +316,14 @@ def _said(detour, index) -> str:
     return f"the mean moved by at most {1e3 * detour.distance:.0f} mm ({detour.deviations:.1f} deviations)"
 
 
-def _in_order(attempts, unlikely, comfortable) -> list[Attempt]:
-    """The feasible ones: those comfortably clear, most likely first; then the others, most clear first."""
-    feasible = [a for a in attempts if not a.refusal]
-    clear = sorted((a for a in feasible if a.clearance >= comfortable), key=lambda a: unlikely[a.index])
-    return clear + sorted((a for a in feasible if a.clearance < comfortable), key=lambda a: -a.clearance)
+def _in_order(attempts, unlikely, margin, comfortable) -> list[Attempt]:
+    """The feasible ones, the best first: likely, and clear."""
+
+    def cost(attempt):
+        missing = max(comfortable - attempt.clearance, 0.0) / max(comfortable - margin, 1e-9)
+        return unlikely[attempt.index] + BARELY * missing**2
+
+    return sorted((a for a in attempts if not a.refusal), key=cost)
 
 
 @dataclass(frozen=True, eq=False)

@@ -139,7 +139,7 @@ def test_a_mean_that_runs_into_something_gives_way_to_a_sample(arm, free):
     skill = skill_to(arm, np.array([0.6, 0.2, 0.3]), spread=0.06)
     shape = free.client.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.03)
     free.bodies["ball"] = free.client.createMultiBody(0, shape, -1, skill.distribution.mean_at([0.6])[0])
-    chosen = plan(skill, arm, free, seed=0, samples=20)
+    chosen = plan(skill, arm, free, seed=0, samples=20, moved=0)
     assert chosen.feasible and chosen.chosen > 0
     assert chosen.refusals[0].startswith("the mean: at t = 0.") and "into ball" in chosen.refusals[0]
 
@@ -177,7 +177,7 @@ def on_the_way(arm):
 def test_a_path_that_enters_a_region_gives_way_to_one_that_keeps_clear_of_it(arm, free, on_the_way, with_world):
     world = free if with_world else None
     allowed = plan(replace(on_the_way, keep_out=()), arm, world, seed=0, samples=20)
-    chosen = plan(on_the_way, arm, world, seed=0, samples=20)
+    chosen = plan(on_the_way, arm, world, seed=0, samples=20, moved=0)
     (region,) = visual_hull(on_the_way.keep_out)
     assert region.contains(allowed.tip).any() and allowed.feasible
     assert chosen.feasible and chosen.chosen > 0 and not region.contains(chosen.tip).any()
@@ -320,6 +320,19 @@ def test_repeated_waypoints_are_no_obstacle_to_timing():
     times, joints, waypoints = time_path(path, np.ones(2), np.ones(2))
     assert np.isfinite(joints).all() and (np.diff(waypoints) >= 0).all()
     np.testing.assert_allclose(joints[[0, -1]], path[[0, -1]], atol=1e-9)
+
+
+def test_likely_and_clear_are_weighed_against_each_other(arm, free):
+    skill = skill_to(arm, GOAL, spread=0.02)
+    middle = skill.starting_at(arm.fk(arm.home)[:3, 3])[0].distribution.mean_at([0.5])[0]
+    ball = free.client.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.02)
+    free.bodies["Ball"] = free.client.createMultiBody(0, ball, -1, middle - [0, 0, 0.1])
+    mean = plan(skill, arm, free, samples=1)
+    nearly = plan(skill, arm, free, samples=12, comfortable=mean.clearance.min() + 0.001)
+    far_from = plan(skill, arm, free, samples=12, comfortable=mean.clearance.min() + 0.02)
+    free.client.removeBody(free.bodies.pop("Ball"))
+    assert nearly.chosen == 0
+    assert far_from.chosen > 0 and far_from.clearance.min() > mean.clearance.min() + 0.002
 
 
 def test_a_sample_that_is_taken_instead_of_the_mean_ends_where_that_does(arm, free):
