@@ -78,7 +78,7 @@ def test_the_start_may_be_set(skill):
 def test_the_report_says_what_a_person_wants_to_know(skill):
     report = skill.report
     assert report["seconds"] > 0 and max(report["reprojection_px"].values()) < 2
-    assert len(report["intersections"]) == 50 and min(report["intersections"]) > 0
+    assert len(report["intersections"]) == 100 and min(report["intersections"]) > 0
     assert 45 < report["ray_angle_deg"] < 90 and report["warnings"] == []
 
 
