@@ -122,7 +122,9 @@ class TrajectoryDistribution:
         that S answers for the share (LIKELY / m)^2 of the way: all of it at LIKELY, nearly nothing of it far away.
         """
         bumps, grid = [np.zeros((len(self.covariance), 0))], np.linspace(0, 1, 200)
-        Phi = self.basis(grid)
+        values, vectors = np.linalg.eigh(self.covariance)
+        free = vectors[:, values > 1e-11 * values[-1]]  # what was met exactly before stays so
+        H = self.features(grid) @ free
         for k, (time, position) in enumerate(zip(t, x, strict=True)):
             C = self.covariance_at(time)[0] + R[3 * k : 3 * k + 3, 3 * k : 3 * k + 3]
             C = C + (EXACT**2 + 1e-12 * np.trace(C)) * np.eye(3)
@@ -132,14 +134,11 @@ class TrajectoryDistribution:
                 away = grid - time
                 if self.basis.period:
                     away = (away + self.basis.period / 2) % self.basis.period - self.basis.period / 2
-                target = Phi.T @ np.exp(-(away**2) / (2 * BUMP**2))
-                bump = np.linalg.solve(Phi.T @ Phi + 1e-6 * np.trace(Phi.T @ Phi) * np.eye(len(target)), target)
-                bump = bump / (self.basis(time)[0] @ bump)
+                target = np.kron(np.exp(-(away**2) / (2 * BUMP**2))[:, None], np.eye(3))
+                bump = free @ np.linalg.solve(H.T @ H + 1e-6 * np.trace(H.T @ H) / len(H.T) * np.eye(len(H.T)), H.T @ target)
                 variance = (off @ off) * min(m / LIKELY**2 - 1 / m, FAR)
-                bumps.append(np.sqrt(variance) * np.kron(bump[:, None], np.eye(3)))
-        values, vectors = np.linalg.eigh(self.covariance)
-        free = vectors[:, values > 1e-11 * values[-1]]  # what was met exactly before stays so
-        return free @ (free.T @ np.concatenate(bumps, axis=1))
+                bumps.append(np.sqrt(variance) * bump)
+        return np.concatenate(bumps, axis=1)
 
     def with_first_weight(self, x) -> "TrajectoryDistribution":
         """The paper's way to start at x (3,) [m]: every sample keeps W_2: and alters W_1 so that xi(0) = x, eq.
