@@ -66,7 +66,7 @@ def fit(
     periodic: bool | None = None,
     covariance: str = "coherent",
     predictive: bool = True,
-    smoothness: float = 1e-8,
+    smoothness: float = 1e-10,
     strength: float = 30.0,
     conditioning: str = "gaussian",
     depths: Mapping[str, np.ndarray] | None = None,

@@ -17,7 +17,7 @@ OTHER = Camera.from_fov(look_at((-0.3, 0.8, 0.7), (0.5, 0.0, 0.0)), 640, 480, 55
 UP = np.array([0.0, 0.0, 1.0])
 TILTED = np.array([-0.3, -0.2, 1.0]) / np.linalg.norm([-0.3, -0.2, 1.0])
 T = np.linspace(0, 1, 100)
-HOW = {"count": 100, "covariance": "coherent", "smoothness": 1e-8, "strength": 20.0}
+HOW = {"count": 100, "covariance": "coherent", "smoothness": 1e-10, "strength": 20.0}
 
 
 def rays(camera):
