@@ -67,6 +67,12 @@ class CommonTime:
         spread = velocity[:, :, None, None] * drift[:, None, :, None] * velocity
         return self._of_weights(self.drift**2 * spread.reshape(3 * COUNT, -1) / np.diag(drift).mean(), basis, smoothness)
 
+    def weights_of(self, displacements, basis, smoothness: float) -> np.ndarray:
+        """The weights (M, 3) of displacements (COUNT, 3) [m] at even moments."""
+        t = np.linspace(0, 1, 2 * COUNT)
+        even = np.stack([np.interp(t, self.time, axis) for axis in displacements.T], axis=1)
+        return projection(basis, t, np.ones(len(t)), smoothness) @ even
+
     def _of_weights(self, spread, basis, smoothness: float) -> np.ndarray:
         """The covariance of points at even moments (3 COUNT, 3 COUNT) as one of weights."""
         G = np.kron(projection(basis, self.time, np.gradient(self.time), smoothness), np.eye(3))

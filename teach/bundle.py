@@ -97,12 +97,14 @@ class ViewedStroke:
 @dataclass(frozen=True, eq=False)
 class Bundle:
     """points: (COUNT, 3) [m], the curve at even u. lags: (V, COUNT). evidence: log p(strokes | lag, bend). covariance:
-    (3M, 3M) [m^2], of the curve's weights in BASIS, basis-major: what strokes and lags leave open."""
+    (3M, 3M) [m^2], of the curve's weights in BASIS, basis-major: what strokes and lags leave open. prior: (M, M) [1/m^2], the
+    precision Q of these weights along each axis before anything was drawn."""
 
     points: Float[np.ndarray, "N 3"]
     lags: Float[np.ndarray, "V N"]
     evidence: float
     covariance: Float[np.ndarray, "3*M 3*M"]
+    prior: Float[np.ndarray, "M M"]
 
 
 def hand_faults(stroke) -> np.ndarray:
@@ -180,12 +182,12 @@ def solve(
         while (gain := cost - problem.cost(w + damping * (w_new - w), lags + damping * (lags_new - lags))) <= 0:
             damping /= 2
             if damping < 0.02:
-                return Bundle(problem.Phi @ w.reshape(-1, 3), lags, evidence, covariance)
+                return problem.solved(w, lags, evidence, covariance)
         w, lags, cost = w + damping * (w_new - w), lags + damping * (lags_new - lags), cost - gain
         damping = min(1.0, 2 * damping)
         if gain < 1e-2:
             break
-    return Bundle(problem.Phi @ w.reshape(-1, 3), lags, *problem.step(w, lags)[2:])
+    return problem.solved(w, lags, *problem.step(w, lags)[2:])
 
 
 class _Problem:
@@ -200,8 +202,11 @@ class _Problem:
         self.E_inverse = [np.linalg.inv(view.covariance) for view in views]
         self.x = triangulate([at(v.mean, self.u + l) for v, l in zip(views, lags, strict=True)], [v.camera for v in views])
         extent = max(float(np.ptp(self.x, axis=0).max()), 1e-6)
-        Q = BENDING / (bend * extent) ** 2 + 1e-7 / extent**2 * np.eye(BASIS.count)
-        self.Q = np.kron(Q, np.eye(3))
+        self.prior = BENDING / (bend * extent) ** 2 + 1e-7 / extent**2 * np.eye(BASIS.count)
+        self.Q = np.kron(self.prior, np.eye(3))
+
+    def solved(self, w, lags, evidence, covariance) -> Bundle:
+        return Bundle(self.Phi @ w.reshape(-1, 3), lags, evidence, covariance, self.prior)
 
     def start(self, lags):
         return (TO_WEIGHTS @ self.x).ravel()

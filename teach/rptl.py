@@ -8,7 +8,7 @@
 import time as clock
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -22,6 +22,7 @@ from teach.density import Flow
 from teach.hooks import without_hooks
 from teach.hull import visual_hull
 from teach.likelihood import fit_coherent, fit_diagonal, fit_mean, hand_prior, mean_uncertainty, moments_over_time
+from teach.parallel import parallel_stretch
 from teach.periodic import unrolled
 from teach.quality import TIMES, contradictions, quality, warnings
 from teach.raytrace import ExactRays, Intersections
@@ -66,6 +67,7 @@ def fit(
     periodic: bool | None = None,
     covariance: str = "coherent",
     predictive: bool = True,
+    parallel: bool = True,
     smoothness: float = 1e-10,
     strength: float = 30.0,
     conditioning: str = "gaussian",
@@ -83,7 +85,8 @@ def fit(
     the motion closes and repeats, None to see it by the strokes (teach.periodic.unrolled) or a periodic basis; the
     skill is a single turn then, in the periodic basis as wide as ``basis``. covariance: "coherent" (full, of whole
     strokes) or "diagonal" (the paper's independent weights). predictive: the coherent covariance is that of a further
-    demonstration, which includes how uncertain the mean is and how strokes drift. smoothness: penalty of the mean's integrated squared
+    demonstration, which includes how uncertain the mean is and how strokes drift. parallel: a motion that runs parallel to a surface
+    which ``depths`` show behind it is held so (teach.parallel). smoothness: penalty of the mean's integrated squared
     acceleration, against its squared error. strength: number of strokes that the coherent covariance's prior is worth.
     conditioning: how the skill starts where the hand is, "gaussian" or the paper's "first_weight".
     depths: by view, depth pictures (h, w) [m along the optical axis, nan where nothing is seen]: strokes touch the
@@ -103,7 +106,7 @@ def fit(
     drawn, caught = without_hooks(drawn) if hooks else (drawn, [])
     drawn, notes = oriented(drawn)
     ways, questions = split(drawn) if routes else ([drawn], [])
-    weights = _Weights(basis, covariance, predictive, smoothness, strength)
+    weights = _Weights(basis, covariance, predictive, parallel, smoothness, strength)
     learned = [
         _learn(way, common_times(way, time, speed, robust), (density, raytrace), weights, depths or {}, offset, seed, seen)
         for way in ways
@@ -133,6 +136,7 @@ class _Weights:
     basis: object
     covariance: str
     predictive: bool
+    parallel: bool
     smoothness: float
     strength: float
 
@@ -155,7 +159,7 @@ def _learn(drawn, common, parts, weights: _Weights, depths, offset: float, seed:
         S = S + common.drifting(weights.basis, mean, weights.smoothness) if weights.covariance == "coherent" else S
         distribution = TrajectoryDistribution(weights.basis, mean, S)
     else:
-        distribution, report = _from_rays(drawn, common, parts, weights, seed, seen)
+        distribution, report = _from_rays(drawn, common, parts, weights, depths, seed, seen)
         if offset:
             report["warnings"].append("The offset is not used: it is for a motion drawn on one view, along a surface.")
     touched = contacts(drawn, common.times, depths)
@@ -167,7 +171,7 @@ def _learn(drawn, common, parts, weights: _Weights, depths, offset: float, seed:
     return _Learned(touch(distribution, touched), duration, events, report)
 
 
-def _from_rays(drawn, common, parts, weights: _Weights, seed: int, seen):
+def _from_rays(drawn, common, parts, weights: _Weights, depths, seed: int, seen):
     """The distribution and the report of a motion drawn on two or more views."""
     left_out, sentences = contradictions(drawn, common.agree, common.off)
     for k in common.rivals:
@@ -190,6 +194,10 @@ def _from_rays(drawn, common, parts, weights: _Weights, seed: int, seen):
     basis = weights.basis
     mean, grid, variance = _mean(basis, met, weights.smoothness)
     _require_in_front(basis(TIMES) @ mean, drawn)
+    stretch = parallel_stretch(drawn, common.bundle, depths) if weights.parallel and common.bundle else None
+    if stretch is not None:
+        known, moved = stretch.held(common.bundle, basis(common.time) @ mean, cameras)
+        common, mean = replace(common, bundle=known), mean + common.weights_of(moved, basis, weights.smoothness)
     observations = _observations(basis, mean, strokes, cameras)
     S = fit_coherent(observations, hand_prior(basis, mean, weights.smoothness), weights.strength)
     open_ = common.uncertainty(basis, weights.smoothness) if common.bundle else mean_uncertainty(observations, S)
@@ -201,6 +209,9 @@ def _from_rays(drawn, common, parts, weights: _Weights, seed: int, seen):
     distribution = TrajectoryDistribution(basis, mean, S)
     uncertainty = TrajectoryDistribution(basis, mean, open_).covariance_at(TIMES)
     report = quality(drawn, strokes, distribution, uncertainty)
+    if stretch is not None:
+        report["parallel"] = stretch.plain()
+        report["sentence"] += f" {stretch.sentence}"
     report["intersections"] = met.counts.tolist()
     report["noise"] = {sketch.view: density.noise for sketch, density in zip(drawn, densities, strict=True)}
     report["contradicting"] = {view: miss if np.isfinite(miss) else None for view, miss in left_out.items()}
