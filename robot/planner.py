@@ -52,7 +52,7 @@ def plan(
     start=None,
     seed=0,
     samples=20,
-    waypoints=100,
+    waypoints=150,
     margin=0.01,
     comfortable=0.03,
     postures=12,

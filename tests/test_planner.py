@@ -322,6 +322,18 @@ def test_repeated_waypoints_are_no_obstacle_to_timing():
     np.testing.assert_allclose(joints[[0, -1]], path[[0, -1]], atol=1e-9)
 
 
+def test_a_motion_with_corners_is_performed_with_its_corners(arm, free):
+    start = arm.fk(arm.home)[:3, 3]
+    corners = start + np.array([[0, 0, 0], [0.0, 0.2, 0], [0.0, 0.02, -0.25], [0.0, 0.2, -0.25]])
+    t, basis = np.linspace(0, 1, 400), SquaredExponential()
+    path = np.stack([np.interp(t, [0, 0.435, 0.555, 1], axis) for axis in corners.T], axis=1)
+    weights = np.linalg.lstsq(basis(t), path, rcond=1e-6)[0]
+    skill = Skill(TrajectoryDistribution(basis, weights, 1e-9 * np.eye(weights.size)), 3.0)
+    planned = plan(skill, arm, free, samples=1)
+    assert planned.feasible, planned.refusals
+    assert np.linalg.norm(planned.tip[:, None] - corners[1:3], axis=-1).min(axis=0).max() < 0.006
+
+
 def test_likely_and_clear_are_weighed_against_each_other(arm, free):
     skill = skill_to(arm, GOAL, spread=0.02)
     middle = skill.starting_at(arm.fk(arm.home)[:3, 3])[0].distribution.mean_at([0.5])[0]
