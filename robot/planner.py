@@ -73,15 +73,16 @@ def plan(
     with the hand, what is to ``touch`` only the other links keep clear of), None for free space. start (J,)
     [rad]: the present posture (home). seed: of the samples. samples: candidates, the mean among them. waypoints: of
     each path. margin [m]: least clearance to anything. comfortable [m]: clearance beyond which more is no better. postures:
-    end postures tried on the mean. rate [Hz]: samples of the plan. moved [m]: how far a mean that is refused may be moved at most, 0 for not at all. keep_out: boxes to keep out of, see keepout.py. outlined_for:
-    the only links that must keep out of the regions that skill.keep_out outlines, all where it is None. held: bodies that
-    the hand carries from the start. approach [m]: where the hand is farther from where the motion was taught to begin, it
-    goes there first; nearer, or where this is None, the motion is conditioned to begin at the hand. orientation: of the
-    hand, where the skill says none: None or "free", "keep", "down", "tangent", or an axis [x, y, z] that it points along;
-    kept within orientation_tolerance [rad] once the hand has turned there. starts_within [m]: the hand does not begin where
-    ``start`` has it but at random this near to there, to see what becomes of a motion from elsewhere. stand: what becomes of a
-    motion that is feasible from nowhere near: "here", it is refused; "walk", a robot with legs goes to stand where it is
-    feasible; "say", it is said of an arm too where its base would have to stand.
+    end postures tried on the mean. rate [Hz]: samples of the plan. moved [m]: how far a mean that is refused may be moved at
+    most, 0 for not at all. keep_out: boxes to keep out of, see keepout.py. outlined_for: the only links that must
+    keep out of the regions that skill.keep_out outlines, all where it is None. held: bodies that the hand carries
+    from the start. approach [m]: where the hand is farther from where the motion was taught to begin, it goes there
+    first; nearer, or where this is None, the motion is conditioned to begin at the hand. orientation: of the hand,
+    where the skill says none: None or "free", "keep", "down", "tangent", or an axis [x, y, z] that it points along;
+    kept within orientation_tolerance [rad] once the hand has turned there. starts_within [m]: the hand does not begin
+    where ``start`` has it but at random this near to there, to see what becomes of a motion from elsewhere. stand:
+    what becomes of a motion that is feasible from nowhere near: "here", it is refused; "walk", a robot with legs goes
+    to stand where it is feasible; "say", it is said of an arm too where its base would have to stand.
     Regions are kept clear of as if they were bodies. A skill with a "contact" at its end ends where the hand touches what is
     there, its fingers closed if they do nothing on the way (contact.py). The motion takes at least ``skill.duration``. Raises ValueError where
     the start itself is out of limits or too close to something, or its fingers when they close there, NoSolution where the beginning cannot be reached,

@@ -19,7 +19,7 @@ from teach.bundle import BASIS, COUNT, Bundle, ViewedStroke, pinned
 from teach.consensus import consensus
 from teach.curve import directions
 from teach.epipolar import fundamental, lag_between
-from teach.likelihood import DRIFT, DRIFT_LENGTH, as_people, correlation, projection
+from teach.likelihood import DRIFT, DRIFT_LENGTH, as_people, correlation, fit_mean, projection
 from teach.repeats import lags_of_repeats
 from teach.sketch import Event, Sketch, SketchError, Stroke
 
@@ -71,7 +71,7 @@ class CommonTime:
         """The weights (M, 3) of displacements (COUNT, 3) [m] at even moments."""
         t = np.linspace(0, 1, 2 * COUNT)
         even = np.stack([np.interp(t, self.time, axis) for axis in displacements.T], axis=1)
-        return projection(basis, t, np.ones(len(t)), smoothness) @ even
+        return fit_mean(basis, t, even, np.ones(len(t), dtype=bool), smoothness)
 
     def _of_weights(self, spread, basis, smoothness: float) -> np.ndarray:
         """The covariance of points at even moments (3 COUNT, 3 COUNT) as one of weights."""

@@ -25,6 +25,7 @@ from jaxtyping import Float
 from scipy.special import logsumexp
 
 from teach.bundle import COUNT, PHI, TO_WEIGHTS, Bundle
+from teach.curve import extent
 from teach.depth import surface_points
 from teach.sketch import Sketch
 
@@ -105,7 +106,7 @@ class Stretch:
     def _allowed(self, x) -> np.ndarray:
         """R (K, K) [m^2] of the curve x (COUNT, 3) [m]."""
         places = self._centre @ x @ np.linalg.svd(self.surface.normal[None])[2][1:].T
-        flat = FLAT * max(float(np.ptp(x, axis=0).max()), 1e-6)
+        flat = FLAT * max(extent(x), 1e-6)
         return flat**2 * np.eye(len(places)) + self.surface.tilt**2 * places @ places.T
 
 
@@ -153,4 +154,5 @@ def surfaces(drawn: Sequence[Sketch], depths: Mapping[str, np.ndarray]) -> list[
 
 def _information(x, cameras) -> np.ndarray:
     """(COUNT, 3, 3) [1/m^2] of the views on what is sharp."""
-    return sum(J.swapaxes(1, 2) @ J / (SHARP * camera.width) ** 2 for camera in cameras for J in [camera.jacobian(x)])
+    jacobians = [camera.jacobian(x) / (SHARP * camera.width) for camera in cameras]
+    return sum(J.swapaxes(1, 2) @ J for J in jacobians)

@@ -2,6 +2,7 @@
 
     sketches ─ routes ─ common time ─ densities per view ─ rays ──── Gaussian weights ─ skill
     turns.py   routes.py  align.py      density.py         raytrace.py  likelihood.py     trajectory.py
+                                                                        parallel.py: what depth pictures add
                a single view with a depth picture ──── surface.py ─────────┘
 """
 

@@ -121,24 +121,28 @@ class TrajectoryDistribution:
         A condition's squared Mahalanobis distance m beyond LIKELY comes down to LIKELY^2 / m by the bump's variance, so
         that S answers for the share (LIKELY / m)^2 of the way: all of it at LIKELY, nearly nothing of it far away.
         """
-        bumps, grid = [np.zeros((len(self.covariance), 0))], np.linspace(0, 1, 200)
-        values, vectors = np.linalg.eigh(self.covariance)
-        free = vectors[:, values > 1e-11 * values[-1]]  # what was met exactly before stays so
-        H = self.features(grid) @ free
+        bumps = [np.zeros((len(self.covariance), 0))]
         for k, (time, position) in enumerate(zip(t, x, strict=True)):
             C = self.covariance_at(time)[0] + R[3 * k : 3 * k + 3, 3 * k : 3 * k + 3]
             C = C + (EXACT**2 + 1e-12 * np.trace(C)) * np.eye(3)
             off = position - self.mean_at(time)[0]
             m = off @ np.linalg.solve(C, off)
             if m > LIKELY:
-                away = grid - time
-                if self.basis.period:
-                    away = (away + self.basis.period / 2) % self.basis.period - self.basis.period / 2
-                target = np.kron(np.exp(-(away**2) / (2 * BUMP**2))[:, None], np.eye(3))
-                bump = free @ np.linalg.solve(H.T @ H + 1e-6 * np.trace(H.T @ H) / len(H.T) * np.eye(len(H.T)), H.T @ target)
                 variance = (off @ off) * min(m / LIKELY**2 - 1 / m, FAR)
-                bumps.append(np.sqrt(variance) * bump)
+                bumps.append(np.sqrt(variance) * self._bump(time))
         return np.concatenate(bumps, axis=1)
+
+    def _bump(self, time) -> np.ndarray:
+        """(3M, 3): weights of a bump of height 1 around a time, along each axis, as near to it as what S leaves free comes."""
+        grid = np.linspace(0, 1, 200)
+        away = grid - time
+        if self.basis.period:
+            away = (away + self.basis.period / 2) % self.basis.period - self.basis.period / 2
+        values, vectors = np.linalg.eigh(self.covariance)
+        free = vectors[:, values > 1e-11 * values[-1]]  # what was met exactly before stays so
+        H = self.features(grid) @ free
+        A, target = H.T @ H, np.kron(np.exp(-(away**2) / (2 * BUMP**2))[:, None], np.eye(3))
+        return free @ np.linalg.solve(A + 1e-6 * np.trace(A) / len(A) * np.eye(len(A)), H.T @ target)
 
     def with_first_weight(self, x) -> "TrajectoryDistribution":
         """The paper's way to start at x (3,) [m]: every sample keeps W_2: and alters W_1 so that xi(0) = x, eq.
