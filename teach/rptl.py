@@ -2,7 +2,7 @@
 
     sketches ─ routes ─ common time ─ densities per view ─ rays ──── Gaussian weights ─ skill
     turns.py   routes.py  align.py      density.py         raytrace.py  likelihood.py     trajectory.py
-                                                                        parallel.py: what depth pictures add
+                                        spread.py: of one hand          parallel.py: what depth pictures add
                a single view with a depth picture ──── surface.py ─────────┘
 """
 
@@ -30,6 +30,7 @@ from teach.raytrace import ExactRays, Intersections
 from teach.routes import split
 from teach.orientation import chosen
 from teach.sketch import Event, Sketch, SketchError, check, without_slips
+from teach.spread import pooled as pooled_strokes
 from teach.surface import fit_surface
 from teach.trajectory import Route, Skill, TrajectoryDistribution
 
@@ -68,6 +69,7 @@ def fit(
     periodic: bool | None = None,
     covariance: str = "coherent",
     predictive: bool = True,
+    pooled: bool = True,
     parallel: bool = True,
     smoothness: float = 1e-10,
     strength: float = 30.0,
@@ -86,7 +88,8 @@ def fit(
     the motion closes and repeats, None to see it by the strokes (teach.periodic.unrolled) or a periodic basis; the
     skill is a single turn then, in the periodic basis as wide as ``basis``. covariance: "coherent" (full, of whole
     strokes) or "diagonal" (the paper's independent weights). predictive: the coherent covariance is that of a further
-    demonstration, which includes how uncertain the mean is and how strokes drift. parallel: a motion that runs parallel to a surface
+    demonstration, which includes how uncertain the mean is and how strokes drift. pooled: of three views or more, densities are of
+    strokes that spread as all views together say (teach.spread). parallel: a motion that runs parallel to a surface
     which ``depths`` show behind it is held so (teach.parallel). smoothness: penalty of the mean's integrated squared
     acceleration, against its squared error. strength: number of strokes that the coherent covariance's prior is worth.
     conditioning: how the skill starts where the hand is, "gaussian" or the paper's "first_weight".
@@ -109,7 +112,7 @@ def fit(
     ways, questions = split(drawn) if routes else ([drawn], [])
     weights = _Weights(basis, covariance, predictive, parallel, smoothness, strength)
     learned = [
-        _learn(way, common_times(way, time, speed, robust), (density, raytrace), weights, depths or {}, offset, seed, seen)
+        _learn(way, common_times(way, time, speed, robust), (density, raytrace, pooled), weights, depths or {}, offset, seed, seen)
         for way in ways
     ]
     strokes = [sum(len(sketch.motions) for sketch in way) for way in ways]
@@ -181,12 +184,13 @@ def _from_rays(drawn, common, parts, weights: _Weights, depths, seed: int, seen)
         views = " and ".join(s.view for s, ok in zip(drawn, common.agree, strict=True) if ok)
         sentences.append(f"The strokes of views {views} hardly show one motion: look at it in a further view, or draw them again.")
     drawn, times = zip(*[(s, t) for s, t, ok in zip(drawn, common.times, common.agree, strict=True) if ok], strict=True)
-    density, raytrace = parts
+    density, raytrace, pooled = parts
     cameras = [sketch.camera for sketch in drawn]
     strokes = _at_even_times(drawn, times)
+    spread = pooled_strokes(strokes) if pooled and len(strokes) > 2 else strokes  # two rays meet where they do, whatever they weigh
     densities = [
         density.fit(view, (camera.width, camera.height), seed=seed + number)
-        for number, (view, camera) in enumerate(zip(strokes, cameras, strict=True))
+        for number, (view, camera) in enumerate(zip(spread, cameras, strict=True))
     ]
     met = raytrace(densities, cameras, seed=seed)
     if seen is not None:

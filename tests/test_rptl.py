@@ -57,6 +57,28 @@ def test_three_views_use_all_pairs():
     assert list(skill.report["reprojection_px"]) == ["v0", "v1", "v2"]
 
 
+def test_densities_of_three_views_are_of_strokes_that_spread_as_all_views_say():
+    spreads = {True: [], False: []}
+
+    class Recording(Flow):
+        def fit(self, strokes, size, *, seed=0):
+            spreads[pooled].append(np.std(strokes - strokes.mean(axis=0)) / np.ptp(strokes.mean(axis=0), axis=0).max())
+            return super().fit(strokes, size, seed=seed)
+
+    close, far, further = sketches((-0.006, 0, 0.006), 1) + sketches((-0.012, 0, 0.012), 3)[1:]
+    for pooled in spreads:
+        fit([close, far, further], density=Recording(steps=20), pooled=pooled)
+    alone, alike = spreads[False], spreads[True]
+    assert len(alike) == 3 and min(alone) < min(alike) < max(alike) < max(alone)
+    assert np.ptp(np.log(alike)) < 0.5 * np.ptp(np.log(alone))
+
+
+def test_densities_of_two_views_are_of_the_strokes_as_they_are():
+    close, far = sketches((-0.006, 0, 0.006), 1) + sketches((-0.012, 0, 0.012))[1:]
+    means = [fit([close, far], density=QUICK, pooled=pooled).distribution.mean for pooled in (True, False)]
+    np.testing.assert_array_equal(*means)
+
+
 def test_samples_spread_as_the_strokes_do(skill):
     spread = skill.distribution.sample(500, [0.1, 0.5, 0.9], np.random.default_rng(0)).std(axis=0)
     assert (spread[:, 2] > 0.003).all() and (spread < 0.02).all()
