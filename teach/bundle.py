@@ -28,6 +28,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from scene.camera import Camera, nearest_to_rays
 from teach.basis import SquaredExponential
+from teach.curve import extent
 from teach.epipolar import fundamental, lag_between
 from teach.lag import at
 from teach.likelihood import OFFSET, SIZE, SMOOTH, correlation, hand_correlation, projection, smoothness_penalty
@@ -76,7 +77,7 @@ class ViewedStroke:
         if count > 1:
             seen = ((strokes - mean) ** 2).sum() / (count - 1)
             faults = faults * ((count - 1) * seen / np.trace(faults, axis1=1, axis2=2).sum() + 1) / count
-        least = max((TREMBLING * np.ptp(smooth, axis=0).max()) ** 2, 0.01)
+        least = max((TREMBLING * extent(smooth)) ** 2, 0.01)
         return cls(camera, smooth, faults / count, max(2 * ((mean - PHI @ TO_WEIGHTS @ smooth) ** 2).mean(), least))
 
     def sloppy(self, k: float) -> "ViewedStroke":
@@ -110,10 +111,10 @@ class Bundle:
 def hand_faults(stroke) -> np.ndarray:
     """(2, N, N) [px^2] covariance of the faults of a hand that draws ``stroke`` (N, 2) [px], as ``teach.hand`` has
     them."""
-    u, extent = np.linspace(0, 1, len(stroke)), max(float(np.ptp(stroke, axis=0).max()), 1.0)
+    u, size = np.linspace(0, 1, len(stroke)), max(extent(stroke), 1.0)
     arms = stroke - stroke.mean(axis=0)
     smooth = SMOOTH**2 * hand_correlation(u)
-    common = (OFFSET**2 + smooth) * extent**2 / 2
+    common = (OFFSET**2 + smooth) * size**2 / 2
     return np.stack([common + SIZE**2 * np.outer(arm, arm) for arm in arms.T])
 
 
@@ -201,8 +202,8 @@ class _Problem:
         self.L_inverse = np.linalg.inv(self.L)
         self.E_inverse = [np.linalg.inv(view.covariance) for view in views]
         self.x = triangulate([at(v.mean, self.u + l) for v, l in zip(views, lags, strict=True)], [v.camera for v in views])
-        extent = max(float(np.ptp(self.x, axis=0).max()), 1e-6)
-        self.prior = BENDING / (bend * extent) ** 2 + 1e-7 / extent**2 * np.eye(BASIS.count)
+        size = max(extent(self.x), 1e-6)
+        self.prior = BENDING / (bend * size) ** 2 + 1e-7 / size**2 * np.eye(BASIS.count)
         self.Q = np.kron(self.prior, np.eye(3))
 
     def solved(self, w, lags, evidence, covariance) -> Bundle:

@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from teach.bundle import BENDS, COUNT, LAGS, Bundle, ViewedStroke, adjust, solve, starts
+from teach.curve import extent
 from teach.lag import at, lag_behind
 from teach.likelihood import correlation
 from teach.sketch import SketchError
@@ -107,7 +108,7 @@ def _contradicting(views) -> tuple[int | None, list[int], np.ndarray]:
     gains = np.array([
         _evidence(views, tuple(i for i in everyone if i != k), pairs) + any_curve[k] for k in everyone
     ])  # fmt: skip
-    dots = [np.ptp(view.mean, axis=0).max() < DOT * view.camera.width for view in views]
+    dots = [extent(view.mean) < DOT * view.camera.width for view in views]
     gains[dots] = -np.inf  # a motion straight at the camera: its arc length is trembling, which contradicts nothing
     out = int(np.argmax(gains))
     if not np.isfinite(gains[out]) or gains[out] - together < SURE:
@@ -116,14 +117,13 @@ def _contradicting(views) -> tuple[int | None, list[int], np.ndarray]:
 
 
 def _trembling(view: ViewedStroke) -> ViewedStroke:
-    extent = max(float(np.ptp(view.mean, axis=0).max()), 1.0)
-    return replace(view, trembling=view.trembling + (TREMBLING * extent) ** 2)
+    return replace(view, trembling=view.trembling + (TREMBLING * max(extent(view.mean), 1.0)) ** 2)
 
 
 def anything(view: ViewedStroke) -> float:
     """log p(stroke | any curve): a smooth one of its extent, anywhere on the picture."""
     u, size = np.linspace(0, 1, COUNT), (view.camera.width, view.camera.height)
-    shape = (ANYHOW * np.ptp(view.mean, axis=0).max()) ** 2 * correlation(u, LENGTH)
+    shape = (ANYHOW * extent(view.mean)) ** 2 * correlation(u, LENGTH)
     total = 0.0
     for axis, faults in enumerate(view.covariance):
         root = np.linalg.cholesky(faults + shape + (ANYWHERE * view.camera.width) ** 2)

@@ -1,4 +1,4 @@
-"""Curves as polylines (N, D): arc length, equal spacing, extent. Any dimension, any unit.
+"""Curves as polylines (N, D): arc length, equal spacing, deviation, extent. Any dimension, any unit.
 
     s_i = sum_{j < i} |x_{j+1} - x_j|       arc length up to point i
 """
@@ -34,6 +34,11 @@ def directions(points) -> np.ndarray:
 def mean_curve(curves, count: int = 200) -> np.ndarray:
     """(count, D) mean of curves (N_i, D), each at equal arc length; the result again at equal arc length."""
     return resample(np.mean([resample(curve, count) for curve in curves], axis=0), count)
+
+
+def deviation(curves) -> float:
+    """RMS distance of curves (n, T, D), n at least 2, from their mean, place by place, over n - 1; places that are nan are left out."""
+    return float(np.sqrt(np.nanvar(curves, axis=0, ddof=1).sum(axis=1).mean()))
 
 
 def extent(points) -> float:

@@ -14,6 +14,8 @@ offset, a size and a smooth deviation, in the proportions measured on letters pe
 
 import numpy as np
 
+from teach.curve import extent
+
 OFFSET, SIZE, SMOOTH, DRIFT = 0.03, 0.045, 0.038, 0.006
 """How a person's repetitions of a drawing differ, RMS: of the motion's extent, the size of its own, the drift of the arc
 length."""
@@ -102,7 +104,7 @@ def hand_prior(basis, mean, smoothness: float, count: int = 100) -> np.ndarray:
     t = np.linspace(0, 1, count)
     x = basis(t) @ mean
     x = x - x.mean(axis=0)
-    extent = np.ptp(x, axis=0).max() or 1.0
+    longest = extent(x) or 1.0
     lag = t[:, None] - t
     if basis.period:  # the chord of the circle that time goes round: the end remembers the start
         lag = np.sin(np.pi * lag / basis.period) * basis.period / np.pi
@@ -111,7 +113,7 @@ def hand_prior(basis, mean, smoothness: float, count: int = 100) -> np.ndarray:
     blocks = np.zeros((basis.count, 3, basis.count, 3))
     for axis in range(3):
         size = SIZE**2 * np.outer(x[:, axis], x[:, axis])
-        blocks[:, axis, :, axis] = P @ ((OFFSET**2 + smooth) * extent**2 / 2 + size) @ P.T
+        blocks[:, axis, :, axis] = P @ ((OFFSET**2 + smooth) * longest**2 / 2 + size) @ P.T
     return blocks.reshape(3 * basis.count, -1)
 
 

@@ -23,6 +23,7 @@ from scipy.special import logsumexp
 
 from teach.align import arc_length, resample, viewed
 from teach.bundle import BENDS, COUNT, LAGS, ViewedStroke, hand_faults, pinned, solve, starts
+from teach.curve import extent
 from teach.likelihood import correlation
 from teach.sketch import Sketch
 
@@ -125,9 +126,9 @@ def _coordinates(strokes) -> tuple[np.ndarray, np.ndarray]:
     in them of a route's difference of the size of the extent. What trembling hides is left away, or a calm pen would
     make a sloppy hand look exact."""
     mean, u = strokes.mean(axis=0), np.linspace(0, 1, COUNT)[::EVERY]
-    extent = max(float(np.ptp(mean, axis=0).max()), 1.0)
-    floor = (TREMBLING * extent) ** 2 + PIXELS**2
-    difference = extent**2 / 2 * pinned(correlation(u, LENGTH))
+    size = max(extent(mean), 1.0)
+    floor = (TREMBLING * size) ** 2 + PIXELS**2
+    difference = size**2 / 2 * pinned(correlation(u, LENGTH))
     y, scale = [], []
     for axis, faults in enumerate(hand_faults(mean)):
         variances, vectors = np.linalg.eigh(faults[::EVERY, ::EVERY])

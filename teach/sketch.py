@@ -22,6 +22,7 @@ from jaxtyping import Float
 
 from scene.camera import Camera
 from scene.files import replacing
+from teach.curve import extent
 from teach.schema import KINDS, MAX_POINTS, ORIENTATION, SCHEMA, validate
 
 MAX_BYTES = 64 * 2**20
@@ -206,7 +207,7 @@ def without_slips(sketches: Sequence[Sketch]) -> tuple[list[Sketch], list[str]]:
     views whose drawing is hardly longer than a dot."""
     kept, notes = [], []
     for sketch in sketches:
-        extents = np.array([float(np.ptp(stroke.points, axis=0).max()) for stroke in sketch.motions])
+        extents = np.array([extent(stroke.points) for stroke in sketch.motions])
         slips = extents < DOT * np.median(extents) if len(extents) > 2 else extents < DOT * np.max(extents, initial=0.0)
         notes += [f"Stroke {k + 1} on view {sketch.view} is only {extents[k]:.0f} px long, a slip of the pen; it is left out."
                   for k in np.flatnonzero(slips)]  # fmt: skip

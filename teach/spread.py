@@ -16,7 +16,7 @@ from scipy.special import polygamma
 from scipy.stats import chi2
 
 from teach.bundle import hand_faults
-from teach.curve import extent
+from teach.curve import deviation, extent
 
 SURE = 0.99
 """How unlikely a scatter by chance has to be before views count as drawn with different care."""
@@ -42,11 +42,7 @@ def pooled(views: Sequence[np.ndarray]) -> list[np.ndarray]:
 
 
 def _variance(strokes) -> float:
-    if len(strokes) < 2:
-        return 0.0
-    mean = strokes.mean(axis=0)
-    off = ((strokes - mean) ** 2).sum(axis=-1).mean(axis=1).sum() / (len(strokes) - 1)
-    return float(off / max(extent(mean), 1.0) ** 2)
+    return (deviation(strokes) / max(extent(strokes.mean(axis=0)), 1.0)) ** 2 if len(strokes) > 1 else 0.0
 
 
 def _freedom(strokes) -> float:

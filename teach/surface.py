@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from teach.align import resample
+from teach.curve import extent
 from teach.depth import ERROR, SAME, surface_points
 from teach.likelihood import SMOOTH_LENGTH, correlation, fit_coherent, fit_diagonal, fit_mean, hand_prior, projection
 from teach.sketch import Sketch, SketchError
@@ -121,7 +122,7 @@ def _detrended(q, pixels, steps: int = 30) -> tuple[np.ndarray, np.ndarray]:
 
     A stroke that turns back and forth on a plane has a smooth rest, though its depth turns with it.
     """
-    places = np.column_stack([np.ones(len(q)), (pixels - pixels.mean(axis=0)) / np.ptp(pixels, axis=0).max()])
+    places = np.column_stack([np.ones(len(q)), (pixels - pixels.mean(axis=0)) / extent(pixels)])
     trend = np.full(len(q), np.median(q))
     for _ in range(steps):
         root = np.sqrt(1 / np.maximum(np.abs(q - trend), 1e-4 * SAME * q))

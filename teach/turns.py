@@ -17,7 +17,7 @@ from dataclasses import replace
 import numpy as np
 
 from teach.align import arc_length
-from teach.curve import extent
+from teach.curve import deviation, extent
 from teach.sketch import Stroke
 
 MIN_TURNS = 1.7
@@ -152,7 +152,7 @@ def _unlike(z, c) -> float:
     """Standard deviation of the turns, over the extent of their mean; only phases drawn twice count."""
     x = _phased(z, c)
     x = x[:, (~np.isnan(x[..., 0])).sum(axis=0) > 1]
-    return float(np.sqrt(np.nanvar(x, axis=0, ddof=1).sum(axis=1).mean()) / extent(np.nanmean(x, axis=0)))
+    return deviation(x) / extent(np.nanmean(x, axis=0))
 
 
 def _cuts_once(stroke: Stroke, start) -> np.ndarray:

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from teach.curve import arc_length, extent, mean_curve, resample
+from teach.curve import arc_length, deviation, extent, mean_curve, resample
 
 curves = st.integers(1, 3).flatmap(
     lambda d: arrays(float, st.tuples(st.integers(2, 30), st.just(d)), elements=st.floats(-100, 100, width=32))
@@ -49,6 +49,12 @@ def test_the_mean_curve_of_two_parallel_lines_lies_between_them_whatever_their_s
 
 def test_the_extent_is_the_longest_side():
     assert extent([[0, 0, 0], [1, 3, 2], [0.5, 0, -1]]) == 3
+
+
+def test_the_deviation_is_that_of_points_about_their_mean_and_leaves_out_what_is_unknown():
+    two = np.array([[[0.0, 0.0], [5.0, 5.0]], [[3.0, 4.0], [5.0, 5.0]]])  # 5 apart at one place, 0 at the other
+    assert deviation(two) == pytest.approx(np.sqrt((5**2 / 2 + 0) / 2))
+    assert deviation(np.concatenate([two, np.full((1, 2, 2), np.nan)])) == pytest.approx(deviation(two))
 
 
 @pytest.mark.parametrize("curve", [np.zeros((0, 2)), [1.0, 2.0], [[0.0, np.nan], [1.0, 1.0]]])
